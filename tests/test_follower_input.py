@@ -129,6 +129,11 @@ def test_what_is_no_range_is_refused(ranges):
         {"sensors": [{"near_m": 0.2, "far_m": 0.1}]},
         {"sensors": [{"position_m": [1e300, 0, 0]}]},
         {"follow": {"offset": 0.1}, "sensors": [{}]},
+        {"loss_timeout": 2},
+        {"sensor_latency": 0.03},
+        {"too_close_exit": "0.16 m"},
+        {"too_close": "0.06 m"},
+        {"too_close": "0.04 m"},
     ],
 )
 def test_contradictory_or_odd_configurations_are_refused(config):
@@ -142,3 +147,67 @@ def test_live_parameters_are_checked_together():
         f.set_params(range_min="1 m", range_max="1 mm")
     with pytest.raises(ConfigError, match="twice"):
         f.set_params(offset=0.1, offset_m=0.2)
+
+
+@pytest.mark.parametrize(
+    ("config", "names"),
+    [
+        ({"offset": 0.1, "offset_m": 0.1}, ("offset", "offset_m")),
+        ({"plant_tau_s": 0.04, "plant": {"tau_s": 0.2}}, ("plant_tau_s", "plant.tau_s")),
+        ({"plant_v_max": 0.1, "plant": {"v_max_mps": 0.2}}, ("plant_v_max", "plant.v_max_mps")),
+        ({"range_min": 0.05, "sensors": [{"near_m": 0.05}]}, ("range_min", "sensors[0].near_m")),
+        ({"range_max_m": 0.2, "sensors": [{}, {"far_m": 0.2}]}, ("range_max_m", "sensors[1].far_m")),
+        ({"score_way": 0.25, "score_travel": 0.25}, ("score_way", "score_travel")),
+    ],
+)
+@pytest.mark.parametrize("offset_m", [None, 0.1])
+def test_a_value_that_is_given_in_two_ways_is_refused_and_both_are_named(config, names, offset_m):
+    with pytest.raises(ConfigError, match="given twice") as e:
+        surffollow.Follower(config, offset_m=offset_m)
+    for name in names:
+        assert name in str(e.value)
+
+
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_too_close_follows_from_a_window_given_either_way(mode):
+    by_name = surffollow.Follower({"mode": mode, "range_min": "60 mm"}, offset_m=0.1)
+    by_sensor = surffollow.Follower({"mode": mode, "sensors": [{"near_m": 0.06}]}, offset_m=0.1)
+    for f in (by_name, by_sensor):
+        f.pose(T0, at(0.0, 0.1))
+        for k in range(60):
+            f.pose(T0 + k * MS, at(0.0, 0.1))
+            f.step(T0 + k * MS, [0.061])  # 55 mm, the default threshold, no reading can have
+        assert "TOO_CLOSE" in f.state()["status"]
+
+
+def test_sensors_with_different_windows_are_refused():
+    windows = [{"near_m": 0.05, "far_m": 0.15}, {"near_m": 0.05, "far_m": 0.3}]
+    with pytest.raises(ConfigError, match=r"sensors\[0\].far_m is 0.15 m and sensors\[1\].far_m 0.3 m"):
+        surffollow.Follower({"sensors": windows})
+    surffollow.Follower({"sensors": [{"near_m": 0.05, "far_m": "0.15 m"}, {"far_m": 0.15}, {}]})
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"loss_timeout": 2}, "has no unit"),
+        ({"too_close_exit": 0.1524}, "not below range_max_m"),
+        ({"range_max": "0.11 m", "too_close_exit": "0.12 m"}, "not below range_max_m"),
+        ({"too_close": "60 mm"}, "above too_close_exit_m"),
+        ({"range_min": "60 mm"}, "too_close_m 0.05461 m is below range_min_m"),
+        ({"offset": "54 mm"}, "not below offset_m"),
+    ],
+)
+def test_a_live_change_at_odds_with_the_window_is_refused_and_changes_nothing(change, says):
+    f = surffollow.Follower()
+    before = f._params.copy()
+    with pytest.raises(ConfigError, match=says):
+        f.set_params(**change)
+    assert f._params.tobytes() == before.tobytes()
+    f.set_params(range_min="60 mm", too_close="63 mm", too_close_exit="66 mm")
+
+
+@pytest.mark.parametrize("horizon", ["a", None, "0.1", math.nan, math.inf, [0.1], 1j])
+def test_a_forecast_over_no_time_is_refused(horizon):
+    with pytest.raises(UsageError, match=r"horizon_s is .*; it must be (a number|finite)"):
+        surffollow.Follower().forecast_range_m(horizon)

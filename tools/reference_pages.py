@@ -38,6 +38,10 @@ This page is for users of the command line. It has the help text of every comman
 `python tools/write_docs.py` writes it from the program.
 
 Exit codes: 0 done, 1 fault, 2 wrong usage.
+
+With `--json` an error is one JSON object on stdout: `error` (its text), `kind` (its class of
+`surffollow.errors`) and `exit_code`. The text is on stderr, with `--json` too. `blocks watch` and
+`arbiter history` print the object as their last line.
 """
     settings = {"terminal_width": 100, "max_content_width": 100}
     for name, command in (("surffollow", cli), *commands(cli, "surffollow")):

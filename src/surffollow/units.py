@@ -132,6 +132,63 @@ def parse_quantity(value: object, unit: str) -> float:
     return number
 
 
+def real_number(value: object, name: str) -> float:
+    """An argument that must be a real number, as float.
+
+    Parameters
+    ----------
+    value : object
+        what the caller gave
+    name : str
+        of the argument, for the text of the error
+
+    Returns
+    -------
+    float
+        NaN and infinity included
+
+    Raises
+    ------
+    UsageError
+        text, a truth value, a complex number, or nothing that is a number
+
+    Examples
+    --------
+    >>> from surffollow.units import real_number
+    >>> real_number(1, "horizon_s")
+    1.0
+    """
+    try:
+        if isinstance(value, (str, bytes, bool, complex)):
+            raise TypeError
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        raise UsageError(f"{name} is {value!r}; it must be a number") from None
+
+
+def is_bare(value: object) -> bool:
+    """Whether a quantity, as `parse_quantity` takes it, is a number without a unit.
+
+    Parameters
+    ----------
+    value : object
+        a quantity
+
+    Returns
+    -------
+    bool
+        True for 2 and "2"
+
+    Examples
+    --------
+    >>> from surffollow.units import is_bare
+    >>> is_bare(2), is_bare("2"), is_bare("2 s")
+    (True, True, False)
+    """
+    match = _QUANTITY.match(value) if isinstance(value, str) else None
+    return match is None or not match[2]
+
+
 def format_ns(t_ns: float) -> str:
     """A duration as text: 850 ns, 12.3 µs, 4.56 ms, 1.20 s.
 

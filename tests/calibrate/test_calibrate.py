@@ -21,13 +21,15 @@ from surffollow.apps.fit_mount import beam_of, fit_mount
 from surffollow.apps.fit_range import fit_range
 from surffollow.cli.calibrate import calibrate_group
 from surffollow.errors import ConfigError
-from surffollow.hw.calibrated import CalibratedDriver
+from surffollow.hw.calibrated import CalibratedDriver, Linearizer, linearize, tables_of
 from surffollow.hw.calibration import Calibration, RangeTable, load_calibration, save_calibration
 from surffollow.hw.contract import check_driver
 from surffollow.hw.driver import ConversionQueue
+from surffollow.hw.ranges import metre_info
 from surffollow.hw.registry import make_driver
 from surffollow.hw.replayed import save_conversions
 from surffollow.shm.conversion import FLAG_INVALID, conversion_counts, conversion_flags, pack_conversion
+from surffollow.shm.dtypes import zeros
 
 MS = 1_000_000
 SEEDS = 20
@@ -205,6 +207,19 @@ def test_a_driver_with_a_calibration_delivers_linear_distances_latency_and_keeps
             range_m = driver.info.zero_m[0] + driver.info.scale_m[0] * conversion_counts(word)
             assert range_m == pytest.approx(0.05 + (1e-3 * k) ** 2, abs=4e-6)
     assert len(check_driver(lambda: make_driver(settings, "x"))) == 4
+
+
+def test_a_channel_without_a_table_keeps_its_own_window_beside_a_wider_one() -> None:
+    inner = metre_info("two lasers", 0.05, 0.15, n_channels=2)
+    table = RangeTable(0, (0.05, 0.15), (0.1, 0.9))
+    relay = zeros(Linearizer)
+    relay["scale"], relay["zero"], relay["quantum_m"] = inner.scale_m, inner.zero_m, 1e-6
+    indicated, range_m, relay["rows"] = tables_of(Calibration(tables=(table,)), inner)
+    for value in (0.049, 0.0501, 0.1, 0.1499, 0.151, 0.3):
+        counts = round((value - inner.zero_m[1]) / inner.scale_m[1])
+        word = linearize(relay, indicated, range_m, pack_conversion(counts, 1, 0, 0))
+        assert bool(conversion_flags(word) & FLAG_INVALID) == (not 0.05 < value < 0.15), value
+        assert conversion_counts(word) * 1e-6 == pytest.approx(value, abs=2e-6)
 
 
 @pytest.mark.parametrize(

@@ -178,6 +178,42 @@ def test_parameters_are_set_all_or_none(client: Client) -> None:
         client.set_params(interval_size=before["interval_size_m"], range_size=before["range_size"])
 
 
+@pytest.mark.parametrize(
+    ("values", "name"),
+    [
+        ({"too_close_exit": 0.1524}, "too_close_exit_m"),
+        ({"range_max": "110 mm", "too_close_exit": "120 mm"}, "too_close_exit_m"),
+        ({"too_close": "60 mm"}, "too_close_m"),
+        ({"range_min": "60 mm"}, "too_close_m"),
+        ({"offset": "54 mm"}, "too_close_m"),
+        ({"offset": "160 mm"}, "offset_m"),
+    ],
+)
+def test_values_at_odds_with_the_window_are_refused_with_the_rule(
+    client: Client, values: dict[str, object], name: str
+) -> None:
+    before = client.params()
+    with pytest.raises(RefusedError, match=rf"\({name}\); range_min_m <= too_close_m <= ") as refused:
+        client.set_params(**values)
+    assert refused.value.code == lb.ERR_BAD_VALUE
+    assert client.params() == before
+
+
+def test_a_reset_to_a_stand_off_that_would_be_too_close_is_refused(client: Client) -> None:
+    before = client.params()
+    for offset in ("54 mm", "50 mm", "153 mm"):
+        with pytest.raises(RefusedError, match=r"\(offset_m\)"):
+            client.sf_reset(offset)  # type: ignore[arg-type]  # text is taken, too
+    assert client.params() == before
+
+
+def test_a_duration_without_a_unit_is_refused_before_it_is_sent(client: Client) -> None:
+    with pytest.raises(ConfigError, match="loss_timeout = 2 has no unit; give one, for instance '2 s'"):
+        client.set_params(loss_timeout=2)
+    with pytest.raises(ConfigError, match="as offset and as offset_m"):
+        client.set_params(offset=0.1, offset_m=0.1)
+
+
 @pytest.mark.parametrize("n", [0, -1, 17, 2**62])
 def test_a_request_with_an_impossible_count_of_arguments_is_refused(client: Client, n: int) -> None:
     with pytest.raises(RefusedError):

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from surffollow.config.params import OLD_NAMES, PARAMS, check_param, param_name
+from surffollow.config.params import OLD_NAMES, PARAMS, check_param, names_given, param_name
 from surffollow.errors import ConfigError
 
 
@@ -24,6 +24,13 @@ from surffollow.errors import ConfigError
         ("run", "freeze", 2.0),
         ("pose_interpolate", True, 1.0),
         ("plant_v_max", "200 mm/s", 0.2),
+        ("loss_timeout", "2s", 2e9),
+        ("loss_timeout_ns", 2, 2.0),
+        ("loss_timeout_ns", "2500000000", 2.5e9),
+        ("sensor_latency", 0, 0.0),
+        ("hold", "0", 0.0),
+        ("max_demand", "0.02", 0.02),
+        ("plant_tau", 0.2, 0.2),
     ],
 )
 def test_a_parameter_is_taken_with_or_without_its_unit_ending(name, value, number):
@@ -48,6 +55,13 @@ def test_a_parameter_is_taken_with_or_without_its_unit_ending(name, value, numbe
         ("mode", "best", ["mode", "'best'", "paper, adaptive"]),
         ("run", 3, ["run", "between 0 and 2"]),
         ("offset", True, ["offset", "True is no quantity"]),
+        ("loss_timeout", 2, ["loss_timeout = 2 has no unit", "'2 s' or '30 ms'", "loss_timeout_ns"]),
+        ("loss_timeout", 2_500_000_000, ["loss_timeout = 2500000000 has no unit", "loss_timeout_ns"]),
+        ("loss_timeout", "2", ["loss_timeout = 2 has no unit", "'2 s' or '30 ms'"]),
+        ("pose_timeout", 0.1, ["pose_timeout = 0.1 has no unit", "'2 s' or '30 ms'"]),
+        ("hold", 3.5e6, ["hold = 3500000.0 has no unit", "hold_ns"]),
+        ("sensor_latency", 0.03, ["sensor_latency = 0.03 has no unit", "'2 s' or '30 ms'"]),
+        ("sensor_latency_ns", 0.03, ["sensor_latency_ns is 0.03", "whole number of ns", "'30 ms'"]),
     ],
 )
 def test_a_refusal_names_the_parameter_what_is_wrong_and_what_would_be_right(name, value, says):
@@ -87,3 +101,24 @@ def test_an_old_name_of_a_parameter_is_accepted_for_one_release(old, new):
     assert old not in PARAMS
     assert param_name(old) == new
     assert check_param(old, PARAMS[new].default) == PARAMS[new].default
+
+
+@pytest.mark.parametrize("name", [name for name, spec in PARAMS.items() if spec.unit == "ns"])
+def test_a_bare_number_of_ns_needs_the_name_that_says_so(name):
+    short = name.removesuffix("_ns")
+    with pytest.raises(ConfigError, match="has no unit"):
+        check_param(short, PARAMS[name].default)
+    assert check_param(name, PARAMS[name].default) == PARAMS[name].default
+    assert check_param(short, f"{PARAMS[name].default} ns") == PARAMS[name].default
+
+
+@pytest.mark.parametrize(
+    ("names", "both"),
+    [
+        (("offset", "mode", "offset_m"), "as offset and as offset_m"),
+        (("step_way", "step_travel"), "step_way and"),
+    ],
+)
+def test_two_names_of_one_parameter_are_refused_and_both_are_named(names, both):
+    with pytest.raises(ConfigError, match=both):
+        names_given(names)

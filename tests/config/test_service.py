@@ -18,6 +18,10 @@ from surffollow.config.service import (
     seconds,
 )
 from surffollow.errors import ConfigError
+from surffollow.hw.registry import make_driver
+from surffollow.service.initialise import initialise_constants
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_follow import Params
 from surffollow.shm.objects import unlink
 
 FULL = """
@@ -99,6 +103,13 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"follow": {"ofset": 1}}, ["ofset", "did you mean offset_m"]),
         ({"follow": {"offset": "1 s"}}, ["offset", "time"]),
         ({"follow": 3}, ["follow"]),
+        ({"follow": {"offset": 0.1, "offset_m": 0.1}}, ["offset_m", "[follow]", "as offset and as offset_m"]),
+        ({"follow": {"loss_timeout": 2}}, ["loss_timeout = 2 has no unit", "'2 s' or '30 ms'"]),
+        ({"limits": {"loss_timeout": {"max": 3}}}, ["loss_timeout = 3 has no unit", "'2 s' or '30 ms'"]),
+        (
+            {"limits": {"max_demand": {"max": 0.05}, "max_demand_m": {"max": 0.05}}},
+            ["[limits]", "as max_demand and as max_demand_m"],
+        ),
         ({"name": 3}, ["name"]),
     ],
 )
@@ -140,8 +151,11 @@ def test_modes_are_octal(text, value):
         ('[driver]\nkind = "telepathy"\n', "driver kind 'telepathy' is unknown"),
         ("[driver]\nchannels = 9\n", "channels = 9"),
         ("[follow]\noffset = 0.4\n", "outside the sensor's window"),
-        ('[follow]\ntoo_close = "80 mm"\n', "too_close 0.08 m is above too_close_exit 0.05842 m"),
-        ('[follow]\nrange_min = "0.2 m"\n', "range_min 0.2 m is not below range_max"),
+        ('[follow]\ntoo_close = "80 mm"\n', "too_close_m 0.08 m is above too_close_exit_m 0.05842 m"),
+        ('[follow]\nrange_min = "0.2 m"\n', "range_min_m 0.2 m is not below range_max_m"),
+        ('[follow]\ntoo_close_exit = "0.2 m"\n', "too_close_exit_m 0.2 m is not below range_max_m 0.1524 m"),
+        ('[follow]\noffset = "54 mm"\n', "too_close_m 0.05461 m is not below offset_m 0.054 m"),
+        ('[follow]\ntoo_close = "40 mm"\n', "too_close_m 0.04 m is below range_min_m 0.0508 m"),
     ],
 )
 def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
@@ -171,3 +185,21 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
 )
 def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, expected):
     assert map_rounding(parse_config({"map": rounding, "follow": follow})) == expected
+
+
+@pytest.mark.parametrize(
+    ("follow", "close_m", "exit_m"),
+    [
+        ({}, 2.15 * 0.0254, 2.3 * 0.0254),
+        ({"range_min": "60 mm"}, 0.060 + 0.0375 * 0.0924, 0.060 + 0.075 * 0.0924),
+        ({"range_min": "30 mm", "range_max": "130 mm"}, 0.03375, 0.0375),
+        ({"range_min": "60 mm", "too_close": "62 mm"}, 0.062, 0.060 + 0.075 * 0.0924),
+        ({"too_close": 0.0}, 0.0, 2.3 * 0.0254),
+    ],
+)
+def test_too_close_follows_from_the_window_that_is_configured(follow, close_m, exit_m):
+    params = zeros(Params)
+    driver = make_driver({"kind": "simulated"}, "window")
+    initialise_constants(params, parse_config({"follow": follow}), driver.info)
+    assert float(params["too_close_m"][0]) == pytest.approx(close_m)
+    assert float(params["too_close_exit_m"][0]) == pytest.approx(exit_m)

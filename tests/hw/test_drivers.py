@@ -285,6 +285,7 @@ def test_a_schedule_that_cannot_be_is_refused(wrong: dict) -> None:
         ({"mounts": [[0, 0, float("nan"), 0, 0, 0, 1]]}, ["mount 0", "nan", "finite"]),
         ({"mounts": [[0, 0, 0, 0, 0, 0, 2]]}, ["mount 0", "norm is 2", "must be 1"]),
         ({"led": {"latency_s": 3}}, ["latency_s", "3", "0.0 to 0.4 s"]),
+        ({"led": {"latency": "30 ms", "latency_s": 0.03}}, ["driver.led", "latency and latency_s"]),
     ],
 )
 def test_a_wrong_set_up_is_reported_with_what_would_be_right(wrong: dict, says: list) -> None:

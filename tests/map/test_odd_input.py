@@ -163,3 +163,21 @@ def test_the_estimate_of_memory_for_composing_holds():
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak <= composing._bytes_needed(nx, ny, len(maps)), (nx, ny, peak)
+
+
+@pytest.mark.parametrize("odd", ["a", None, [1.0], 1j, b"x", True])
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("x_m", lambda odd: small().height_at(odd, 0.5)),
+        ("y_m", lambda odd: small().slope_at(0.5, odd)),
+        ("finest_m", lambda odd: small().refocus((0.0, 0.0, 0.5, 0.5), finest_m=odd)),
+        ("grid_m", lambda odd: HeightMap.from_heights([[0.0]], origin_m=(0.0, 0.0), grid_m=odd)),
+        ("quantum_m", lambda odd: HeightMap.over((0.0, 0.0, 1.0, 1.0), quantum_m=odd)),
+        ("capacity_grids", lambda odd: HeightMap.over((0.0, 0.0, 1.0, 1.0), grids=odd)),
+        ("gate_m", lambda odd: HeightMap.over((0.0, 0.0, 1.0, 1.0), gate_m=odd)),
+    ],
+)
+def test_an_argument_that_is_no_number_is_named(name, call, odd):
+    with pytest.raises(UsageError, match=rf"^{name} is .*; it must be a number$"):
+        call(odd)

@@ -19,7 +19,7 @@ from surffollow.errors import UsageError
 from surffollow.map import HeightMap
 from surffollow.record.columns import Columns, load_columns
 from surffollow.record.csv_log import CsvLog, read_csv
-from surffollow.record.csv_replay import CsvReplay, follow_notes, run_csv, write_rows
+from surffollow.record.csv_replay import CsvReplay, follow_notes, make_follower, run_csv, write_rows
 from surffollow.record.forecast_scores import score_forecast, summarise
 
 DATA = Path(os.environ.get("SURFFOLLOW_DATA", ROOT.parent / "shared" / "data"))
@@ -196,6 +196,19 @@ def test_the_echo_sounders_zeros_are_no_readings() -> None:
     still = [row["no_change_rms_m"] for row in summary["forecast"]]
     np.testing.assert_allclose(still, [0.19, 0.52, 0.95], rtol=0.02)
     assert summary["height_m"]["max"] < -4.0, "a zero depth would put the bottom at the surface"
+
+
+def test_follow_has_the_last_word_under_either_name_of_a_parameter(tmp_path: Path) -> None:
+    log = slope_log(tmp_path)
+    given = {"offset": "2.5 m", "sensor_latency": "20 ms", "range_min": "10 cm", "range_max": "9 m"}
+    full = {"offset_m": 2.5, "sensor_latency_ns": 20_000_000, "range_min_m": 0.1, "range_max_m": 9.0}
+    short, long = (make_follower(plain(follow=follow), log, None) for follow in (given, full))
+    assert short.state()["offset_m"] == 2.5
+    assert short._params.tobytes() == long._params.tobytes()
+    assert float(short._params["range_max_m"][0]) == 9.0
+    with pytest.raises(UsageError, match="as offset and as offset_m"):
+        run_csv(log, plain(follow={"offset": 2.5, "offset_m": 2.5}))
+    assert follow_notes(plain(follow={"plant": {"tau_s": 0.2}, "memory": False}), "adaptive") == []
 
 
 @pytest.mark.parametrize("mode", ["paper", "adaptive"])

@@ -112,17 +112,20 @@ def test_without_poses_it_is_stale_and_zero_until_they_come_again(client: Client
 def test_too_close_only_demands_away_leave_until_a_move_shows_the_true_branch(
     service: Service, client: Client
 ) -> None:
-    # GIVEN a stand-off near the fold-back
-    client.sf_reset(0.0515)
+    # GIVEN the nearest stand-off that is accepted, just beyond the threshold of 54.61 mm
+    client.sf_reset(0.0547)
     # WHEN the tool comes too close, THEN only demands away are valid, after a reset too
     demand = follow(service, client, 0.053)
     assert demand.status & TOO_CLOSE
     assert demand.valid
     assert demand[2] > 0.0
-    client.sf_reset(0.0515)
+    client.sf_reset(0.0547)
     assert follow(service, client, 0.053).status & TOO_CLOSE, "a reset does not open the latch"
-    # WHEN it moves away, THEN the latch opens
-    for height in (0.056, 0.059, 0.062, 0.065, 0.068):
+    # WHEN it moves away and above the stand-off, THEN demands still lead away until the latch opens
+    demand = follow(service, client, 0.0565)
+    assert demand.status & TOO_CLOSE
+    assert demand[2] > 0.0
+    for height in (0.059, 0.062, 0.065, 0.068):
         demand = follow(service, client, height)
     assert not demand.status & TOO_CLOSE
 

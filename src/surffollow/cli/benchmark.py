@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from surffollow.errors import SurffollowError, UsageError
+from surffollow.errors import UsageError
 from surffollow.units import parse_quantity
 
 
@@ -101,26 +101,22 @@ def benchmark_command(
     """
     from surffollow.benchmark import evaluation
 
-    try:
-        if only_list:
-            click.echo("\n".join(evaluation.listing()))
-            return
-        request = evaluation.Request(
-            surfaces=list(csvs),
-            plant=plant,
-            speeds_mps=_flat(speed),
-            leads_m=_flat(lead),
-            seeds=seeds,
-            methods=_methods(methods),
-            sweeps=sweeps,
-            criteria=criteria or bars,
-            folder=folder,
-            processes=processes,
-        )
-        outcome = evaluation.run(request, _Progress())
-    except SurffollowError as error:
-        click.echo(f"surffollow benchmark: {error}", err=True)
-        sys.exit(error.exit_code)
+    if only_list:
+        click.echo("\n".join(evaluation.listing()))
+        return
+    request = evaluation.Request(
+        surfaces=list(csvs),
+        plant=plant,
+        speeds_mps=_flat(speed),
+        leads_m=_flat(lead),
+        seeds=seeds,
+        methods=_methods(methods),
+        sweeps=sweeps,
+        criteria=criteria or bars,
+        folder=folder,
+        processes=processes,
+    )
+    outcome = evaluation.run(request, _Progress())
     click.echo(json.dumps(outcome.json, allow_nan=False) if as_json else outcome.text)
     sys.exit(0 if outcome.passed else 1)
 

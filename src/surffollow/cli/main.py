@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from surffollow.cli import old_names
-from surffollow.errors import SurffollowError, missing_library
+from surffollow.errors import SurffollowError, UsageError, missing_library
 
 # a disk, or a share of it, that is full or gone
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -49,8 +49,24 @@ VERBS = {
 }
 
 
+AS_JSON = "surffollow.json"  # of a context: whether --json was given
+
+
 class LazyGroup(click.Group):
-    """A group that imports a verb's module only when the verb is used."""
+    """A group that imports a verb's module when the verb is used; with --json an error is an object, too."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        ctx.meta[AS_JSON] = "--json" in (args[: args.index("--")] if "--" in args else args)
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb. The text of an error goes to stderr in any case (`main`, click)."""
+        try:
+            return super().invoke(ctx)
+        except (SurffollowError, click.ClickException, ModuleNotFoundError) as error:
+            if ctx.meta[AS_JSON]:
+                print_error(error)
+            raise
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
@@ -65,6 +81,22 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, _, text) in VERBS.items()])
+
+
+def print_error(error: SurffollowError | click.ClickException | ModuleNotFoundError) -> None:
+    """Print an error as one JSON object on stdout: text, class of `surffollow.errors`, exit code."""
+    import json
+
+    kind, text, code = type(error).__name__, str(error), 1
+    if isinstance(error, ModuleNotFoundError):
+        text = missing_library(error)
+        if not text:
+            return  # a fault of the program: the traceback says it
+    elif isinstance(error, click.ClickException):  # of options; the names of click's classes change
+        kind, text, code = UsageError.__name__, error.format_message(), error.exit_code
+    else:
+        code = error.exit_code
+    click.echo(json.dumps({"error": text, "kind": kind, "exit_code": code}))
 
 
 def print_includedir(ctx: click.Context, param: click.Parameter, expected: bool) -> None:
@@ -96,7 +128,8 @@ def cli(owner: str | None) -> None:
     """Real-time surface following, mapping and scanning for robot controllers.
 
     Begin with `surffollow demo`, or `surffollow start` and a program that imports
-    surffollow.client. Exit codes: 0 done, 1 fault, 2 wrong usage.
+    surffollow.client. Exit codes: 0 done, 1 fault, 2 wrong usage. With --json an error is an
+    object, too.
     """
     if owner:
         os.environ["SURFFOLLOW_OWNER"] = owner

@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from surffollow.errors import NotRunningError, RefusedError, RegionError, RequestTimeoutError
+from surffollow.errors import NotRunningError, RefusedError, RegionError, RequestTimeoutError, UsageError
 from surffollow.shm.layout_board import (
     ACCEPTED,
     ERR_BAD_VALUE,
@@ -23,6 +23,7 @@ from surffollow.shm.layout_board import (
     Ack,
 )
 from surffollow.shm.layout_follow import STOPPED
+from surffollow.units import real_number
 
 if TYPE_CHECKING:
     from surffollow.client.request_sender import RequestSender
@@ -61,8 +62,12 @@ def check_finest(finest_m: float) -> float:
     Raises
     ------
     RegionError
-        not 0, and not within 1e-6 to 1e4 m
+        not 0, and no number within 1e-6 to 1e4 m
     """
+    try:
+        finest_m = real_number(finest_m, "finest_m")
+    except UsageError as e:
+        raise RegionError(str(e)) from None
     if finest_m == 0.0:
         return 0.0
     from surffollow.shm.map_layout import MAX_GRID_M, MIN_GRID_M
@@ -239,10 +244,12 @@ def _explain(code: int, detail: int) -> str:
 
         return f"refused: {text} ({', '.join(stop_names(detail))})"
     if code in (ERR_BAD_VALUE, ERR_BEYOND_LIMITS) and detail >= 0:
+        from surffollow.config.window_fit import FITTED, RULE
         from surffollow.shm.layout_follow import Params
 
         names = [f.name for f in Params.FIELDS if f.offset == 8 * detail]
-        return f"refused: {text} ({names[0] if names else f'parameter number {detail}'})"
+        rule = f"; {RULE}" if code == ERR_BAD_VALUE and names and names[0] in FITTED else ""
+        return f"refused: {text} ({names[0] if names else f'parameter number {detail}'}){rule}"
     return f"refused: {text}"
 
 

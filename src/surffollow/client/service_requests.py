@@ -12,7 +12,7 @@ from typing import Any
 
 from surffollow.client.push_range import RangePusher
 from surffollow.client.requests import StopTicket, Ticket, check_finest, check_region
-from surffollow.errors import BusyError, ConfigError
+from surffollow.errors import BusyError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import Params
 
@@ -217,15 +217,13 @@ class ServiceRequests(RangePusher):
         ...     robot.params()["max_speed_mps"]
         0.2
         """
-        from surffollow.config.params import check_param, param_name
+        from surffollow.config.params import check_param, names_given
 
         if not values:
             raise TypeError("set_params needs at least one name=value")
         if len(values) > lb.REQUEST_ARGS:
             raise TypeError(f"at most {lb.REQUEST_ARGS} parameters in one call, not {len(values)}")
-        numbers = [Params.offset(param_name(n)) // 8 for n in values]
-        if len(set(numbers)) < len(numbers):
-            raise ConfigError(f"a parameter is given twice in {', '.join(values)}; give it once")
+        numbers = [Params.offset(full) // 8 for full in names_given(values)]
         checked = [check_param(n, v) for n, v in values.items()]
         ticket = self._ask(lb.RQ_SET_PARAMS, checked, timeout_s, wait, numbers)
         self._next_look_ns = self._next_life_ns = 0

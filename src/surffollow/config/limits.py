@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.config.params import PARAMS, check_param, names_given
 from surffollow.config.trusted_users import user_id
 from surffollow.errors import ConfigError
 
@@ -45,10 +45,8 @@ def client_limits(limits: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[fl
     ConfigError  unknown parameter or key, a value that the parameter cannot have, min above max, given twice
     """
     out: dict[str, tuple[float, float]] = {}
-    for name, ends in limits.items():
-        full = param_name(name)
-        if full in out:
-            raise ConfigError(f"a parameter is given twice under [limits]: {name}")
+    for full, name in names_given(limits, " under [limits]").items():
+        ends = limits[name]
         if not isinstance(ends, Mapping) or not ends or not set(ends) <= {"min", "max"}:
             raise ConfigError(
                 f"configuration key limits.{name} is {ends!r}; write for example "
@@ -56,8 +54,8 @@ def client_limits(limits: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[fl
             )
         spec = PARAMS[full]
         low, high = (
-            check_param(full, ends.get("min", spec.low)),
-            check_param(full, ends.get("max", spec.high)),
+            check_param(name, ends[end]) if end in ends else bound
+            for end, bound in (("min", spec.low), ("max", spec.high))
         )
         if low > high:
             raise ConfigError(f"configuration key limits.{name}: min {low:g} is above max {high:g}")

@@ -6,10 +6,11 @@ A parameter's number, as requests carry it, is its word index in `Params`.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from surffollow.errors import ConfigError
-from surffollow.units import parse_quantity
+from surffollow.units import is_bare, parse_quantity
 
 INCH_M = 0.0254
 
@@ -91,12 +92,13 @@ def check_param(name: str, value: object) -> float:
     name : str
         one of `PARAMS`, with or without its unit ending ("offset" = "offset_m")
     value : object
-        a number, text with a unit, or one of the parameter's choices
+        a number, text with a unit, or one of the parameter's choices. A number without a unit is in SI
+        units. That of a duration in ns needs the full name ("hold_ns"), or is 0
 
     Raises
     ------
     ConfigError
-        unknown name, wrong unit, not whole, out of bounds
+        unknown name, wrong or missing unit, not whole, out of bounds
     """
     spec = PARAMS[param_name(name)]
     if spec.choices and isinstance(value, str):
@@ -109,9 +111,15 @@ def check_param(name: str, value: object) -> float:
         number = parse_quantity(value, spec.unit)
     except ValueError as e:
         raise ConfigError(f"parameter {name}: {e}") from None
+    if spec.unit == "ns" and not name.endswith("_ns") and number != 0.0 and is_bare(value):
+        raise ConfigError(
+            f"parameter {name} = {value} has no unit; give one, for instance '2 s' or '30 ms', "
+            f"or write {param_name(name)} for a number of ns"
+        )
     if spec.whole:
         if abs(number - round(number)) > 1e-9 * max(1.0, abs(number)):
-            raise ConfigError(f"parameter {name} is {value!r}; it must be a whole number")
+            remedy = " of ns, or text with a unit, for instance '30 ms'" if spec.unit == "ns" else ""
+            raise ConfigError(f"parameter {name} is {value!r}; it must be a whole number{remedy}")
         number = float(round(number))  # "0.5 s" in ns is whole but for its last bit
     if not spec.low <= number <= spec.high:
         unit = "" if spec.unit == "1" else f" {spec.unit}"
@@ -148,3 +156,30 @@ def param_name(name: str) -> str:
     near = difflib.get_close_matches(name, PARAMS, n=3)
     hint = f"; did you mean {' or '.join(near)}?" if near else f"; known: {', '.join(PARAMS)}"
     raise ConfigError(f"unknown parameter {name!r}{hint}")
+
+
+def names_given(names: Iterable[str], where: str = "") -> dict[str, str]:
+    """Full name of every parameter that is named → its name as given.
+
+    Parameters
+    ----------
+    names : of parameters, as `check_param` takes them
+    where : for the text of the error, as in " under [follow]"
+
+    Raises
+    ------
+    ConfigError  unknown name, or two names of one parameter
+    """
+    given: dict[str, str] = {}
+    for name in names:
+        add_given(given, param_name(name), name, where)
+    return given
+
+
+def add_given(given: dict[str, str], full: str, name: str, where: str = "") -> None:
+    """Note that `name` gives parameter `full`; ConfigError with both names when it was given before."""
+    if full in given:
+        raise ConfigError(
+            f"parameter {full} is given twice{where}, as {given[full]} and as {name}; give one of them"
+        )
+    given[full] = name

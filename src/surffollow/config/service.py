@@ -9,7 +9,7 @@ import msgspec
 
 from surffollow.config.limits import CHANGED_BY, check_within_limits, client_limits, range_user
 from surffollow.config.names import check_service_name
-from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.config.params import PARAMS, check_param, names_given
 from surffollow.config.stop_causes import stop_causes
 from surffollow.config.toml_file import naming_source, read_toml
 from surffollow.errors import ConfigError
@@ -187,10 +187,7 @@ def _check(c: ServiceConfig) -> None:
     for key in ("slots_per_user", "slots_per_process"):
         if not 1 <= getattr(c.access, key) <= MAX_SLOTS:
             raise ConfigError(f"configuration key access.{key} must be a whole number from 1 to {MAX_SLOTS}")
-    for name, value in c.follow.items():
-        check_param(name, value)
-    if len({param_name(n) for n in c.follow}) < len(c.follow):
-        raise ConfigError(f"a parameter is given twice under [follow]: {', '.join(c.follow)}")
+    follow_params(c)
     for key in ("parameters", "map"):
         if getattr(c.access, key) not in CHANGED_BY:
             raise ConfigError(
@@ -228,8 +225,14 @@ def mode(text: str, key: str) -> int:
 
 
 def follow_params(c: ServiceConfig) -> dict[str, float]:
-    """The parameters set by the configuration: full name → value in the parameter's unit."""
-    return {param_name(n): check_param(n, v) for n, v in c.follow.items()}
+    """The parameters set by the configuration: full name → value in the parameter's unit.
+
+    Raises
+    ------
+    ConfigError  unknown name, value that the parameter cannot have, a parameter given twice
+    """
+    given = names_given(c.follow, " under [follow]")
+    return {full: check_param(name, c.follow[name]) for full, name in given.items()}
 
 
 def map_rounding(c: ServiceConfig) -> str:

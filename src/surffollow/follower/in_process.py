@@ -17,10 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.params import check_param, param_name
-from surffollow.errors import ConfigError, PoseError, UsageError
+from surffollow.config.params import check_param, names_given
+from surffollow.config.window_fit import FITTED, check_fit
+from surffollow.errors import PoseError, UsageError
 from surffollow.follower.future_stamps import FutureStamps, ReferenceTime
-from surffollow.follower.setup import Config, check_standoff, check_window, read_setup
+from surffollow.follower.kernel_time import SHIFT_NS, kernel_time
+from surffollow.follower.setup import Config, read_setup
 from surffollow.forecast.estimation.model_bank import N_MODELS
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import MAX_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
@@ -37,12 +39,11 @@ from surffollow.shm.layout_follow import (
     Output,
     Params,
 )
+from surffollow.units import real_number
 
 RECALL_NS = 5_000_000  # remembered ground is looked up at most so often, at the reference time 1
 FUTURE_REASON = "timestamps jumped ahead; readings count as new as usual"
 PAUSE_NS = 1_000_000_000
-# the kernels take a reading at 0 ns for none: their time runs ahead of the caller's by an hour
-_SHIFT_NS = 3_600_000_000_000
 
 
 def _real(value: object) -> float:
@@ -50,12 +51,6 @@ def _real(value: object) -> float:
     if isinstance(value, (str, bytes, bool, np.bool_, complex)):
         raise TypeError(value)
     return float(value)  # type: ignore[arg-type]
-
-
-def _kernel_time(t_ns: int) -> int:
-    if isinstance(t_ns, (int, np.integer, float)) and -_SHIFT_NS < t_ns < 1 << 62:
-        return int(t_ns) + _SHIFT_NS
-    raise UsageError(f"time {t_ns} ns must be after -1 hour and before 2^62 ns of the clock in use")
 
 
 class Follower:
@@ -66,7 +61,8 @@ class Follower:
     config : dict, path of a TOML file, or None
         parameters by name (`surffollow.config.params`), SI numbers or text with units; `mode` is
         "adaptive" (default) or "paper". `sensors`: list of tables with `position_m` (3), `orientation`
-        (unit quaternion, 4), `near_m`, `far_m`; `plant`: table with `tau_s`, `v_max_mps`, `a_max_mps2`.
+        (unit quaternion, 4), `near_m`, `far_m` (one window for all); `plant`: table with `tau_s`,
+        `v_max_mps`, `a_max_mps2`.
         `memory` = false: do not use ground seen on earlier passes. `sensor_readings` (default 1 here): so
         many ranges of a channel are averaged into a reading
     offset_m : float, optional
@@ -75,7 +71,7 @@ class Follower:
     Raises
     ------
     ConfigError
-        unknown key, wrong unit, value out of bounds, a stand-off that cannot be kept
+        unknown key, wrong unit, value out of bounds or given in two ways, a stand-off that cannot be kept
 
     Examples
     --------
@@ -112,7 +108,6 @@ class Follower:
         self._time, self._checks_stamps = ReferenceTime(), bool(adaptive)
         self._stamps = [FutureStamps(self._time) for _ in range(CHANNELS)]
         self._memory = new_memory() if setup.use_memory and adaptive else None
-        check_standoff(self._params[0])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         self._scaled = self._state["scaled"][0]
         self._recall_ns = self._recall_interval_ns()
@@ -131,19 +126,15 @@ class Follower:
         Raises
         ------
         ConfigError
-            unknown name, wrong unit, value out of bounds; then nothing is changed
+            unknown name, wrong unit, value out of bounds or at odds with another; then nothing is changed
         """
-        checked: dict[str, float] = {}
-        for n, v in values.items():
-            if param_name(n) in checked:
-                raise ConfigError(f"parameter {param_name(n)} is given twice")
-            checked[param_name(n)] = check_param(n, v)
-        trial = self._params.copy()
-        for name, number in checked.items():
-            trial[name] = number
-        check_window(float(trial["range_min_m"][0]), float(trial["range_max_m"][0]))
-        check_standoff(trial[0])
-        self._params[:] = trial
+        self._change({full: check_param(name, values[name]) for full, name in names_given(values).items()})
+
+    def _change(self, values: dict[str, float]) -> None:
+        """Put checked values in force, or raise ConfigError when they do not fit the others."""
+        check_fit({name: float(self._params[name][0]) for name in FITTED} | values)
+        for name, number in values.items():
+            self._params[name] = number
 
     def reset(self, offset_m: float | None = None, *, keep_memory: bool = False) -> None:
         """Restart the forecast, with a new desired stand-off [m] if given; poses stay (paper: SFReset).
@@ -164,10 +155,7 @@ class Follower:
             the stand-off is out of bounds, or cannot be kept in the sensor's window
         """
         if offset_m is not None:
-            trial = self._params.copy()
-            trial["offset_m"] = check_param("offset_m", offset_m)
-            check_standoff(trial[0])
-            self._params[:] = trial
+            self._change({"offset_m": check_param("offset_m", offset_m)})
         self._stamps = [FutureStamps(self._time) for _ in range(CHANNELS)]
         before = float(self._scaled["length"])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
@@ -207,7 +195,7 @@ class Follower:
                 p[:] = [_real(v) for v in pose]
         except (TypeError, ValueError, OverflowError):
             raise PoseError(f"a pose is seven numbers x y z qx qy qz qw, not {pose!r}") from None
-        t = _kernel_time(t_ns)
+        t = kernel_time(t_ns)
         found = report_pose(self._state, self._t_ns[0], t, p)
         if found == NO_POSE:
             raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
@@ -254,7 +242,7 @@ class Follower:
             raise
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"step takes a list of ranges, not {ranges_m!r}") from None
-        t = _kernel_time(t_ns)
+        t = kernel_time(t_ns)
         if self._checks_stamps:
             t = self._checked_stamp(t, n)
         self._n_ranges[0] = n
@@ -297,8 +285,16 @@ class Follower:
         -------
         float
             range [m], NaN before the first valid reading
+
+        Raises
+        ------
+        UsageError
+            the time is no finite number
         """
-        return float(forecast_range(self._params, self._state, float(horizon_s)))
+        horizon = real_number(horizon_s, "horizon_s")
+        if not math.isfinite(horizon):
+            raise UsageError(f"horizon_s is {horizon:g} s; it must be finite")
+        return float(forecast_range(self._params, self._state, horizon))
 
     def state(self) -> dict[str, Any]:
         """Estimates, health and adapted parameters as plain Python values.
@@ -328,7 +324,7 @@ class Follower:
         names = ("t_ns", "pose_t_ns", "cycle", "height_m", "slope", "speed_mps", "delta_h_m", "error_m")
         out.update({n: o[n].item() for n in names})
         for stamp in ("t_ns", "pose_t_ns"):
-            out[stamp] -= _SHIFT_NS if out[stamp] else 0  # 0: before the first step, or pose
+            out[stamp] -= SHIFT_NS if out[stamp] else 0  # 0: before the first step, or pose
         if self._params["mode"][0] == MODE_ADAPTIVE:
             adaptive = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]

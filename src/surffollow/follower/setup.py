@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surffollow.config.params import PARAMS, check_param, param_name
+from surffollow.config.params import PARAMS, add_given, check_param, names_given, param_name
 from surffollow.config.toml_file import read_toml
+from surffollow.config.window_fit import check_fit
 from surffollow.errors import ConfigError
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
 from surffollow.forecast.reference_scales import scaled_defaults
@@ -27,6 +28,7 @@ IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "
 TOO_CLOSE_SHARE, TOO_CLOSE_EXIT_SHARE = 0.075, 0.15
 _MODES = {"default": "adaptive", "ours": "adaptive"}
 _PLANT = {"tau_s": "plant_tau_s", "v_max_mps": "plant_v_max_mps", "a_max_mps2": "plant_a_max_mps2"}
+_WINDOW = {"near_m": "range_min_m", "far_m": "range_max_m"}
 
 
 class FollowerSetup(NamedTuple):
@@ -54,65 +56,58 @@ def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
 
     Raises
     ------
-    ConfigError  file not readable, unknown key, wrong unit, value out of bounds
+    ConfigError  file not readable, unknown key, wrong unit, value out of bounds, a value given in two ways,
+        sensors with different windows, window, stand-off and fold-back that do not fit each other
     """
     data = _read(config)
     use_memory = data.pop("memory", True)
     if not isinstance(use_memory, bool):
         raise ConfigError(f"memory is {use_memory!r}; it must be true or false")
-    values = {name: spec.default for name, spec in PARAMS.items()} | IN_PROCESS
     mounts = _mounts(data.pop("sensors", [{}]))
-    near = [check_param("range_min_m", m["near_m"]) for m in mounts if "near_m" in m]
-    if near:
-        values["range_min_m"] = min(near)
-    far = [check_param("range_max_m", m["far_m"]) for m in mounts if "far_m" in m]
-    if far:
-        values["range_max_m"] = max(far)
     plant = data.pop("plant", {})
     if not isinstance(plant, Mapping) or not set(plant) <= set(_PLANT):
         raise ConfigError(f"plant is {plant!r}; its keys are {', '.join(_PLANT)}")
-    for key, value in plant.items():
-        values[_PLANT[key]] = check_param(_PLANT[key], value)
-    if offset_m is not None:
-        data = {k: v for k, v in data.items() if k not in ("offset", "offset_m")} | {"offset_m": offset_m}
-    desired = check_param("offset_m", data.get("offset_m", data.get("offset", values["offset_m"])))
-    if data.get("mode", "adaptive") in ("adaptive", *_MODES, MODE_ADAPTIVE):
-        tau = next((data[k] for k in ("plant_tau_s", "plant_tau") if k in data), values["plant_tau_s"])
-        values.update(scaled_defaults(desired, check_param("plant_tau_s", tau)))
-    if near:
-        values["too_close_m"], values["too_close_exit_m"] = default_too_close(min(near), desired)
     if isinstance(data.get("mode"), str):
         data["mode"] = _MODES.get(data["mode"], data["mode"])
-    for name, value in data.items():
-        values[param_name(name)] = check_param(name, value)
-    check_window(values["range_min_m"], values["range_max_m"])
+    if offset_m is not None:
+        names_given(data)  # else two names of the stand-off would pass
+        data = {k: v for k, v in data.items() if param_name(k) != "offset_m"} | {"offset_m": offset_m}
+    given = _given(data, plant, mounts)
+    values = {name: spec.default for name, spec in PARAMS.items()} | IN_PROCESS
+    desired = given.get("offset_m", values["offset_m"])
+    if given.get("mode", values["mode"]) == MODE_ADAPTIVE:
+        values.update(scaled_defaults(desired, given.get("plant_tau_s", values["plant_tau_s"])))
+    if "range_min_m" in given:
+        values["too_close_m"], values["too_close_exit_m"] = default_too_close(given["range_min_m"], desired)
+    values.update(given)
+    check_fit(values)
     return FollowerSetup(values, [m["pose"] for m in mounts], use_memory)
 
 
-def check_window(low_m: float, high_m: float) -> None:
-    """Raise ConfigError when no reading could ever be valid."""
-    if not low_m < high_m:
-        raise ConfigError(f"range_min_m is {low_m:g} m and range_max_m {high_m:g} m; the first must be less")
-
-
-def check_standoff(params: Any) -> None:
-    """Raise ConfigError when the stand-off could never be kept.
-
-    Parameters
-    ----------
-    params : record of `Params`   `too_close_m` below 0: it follows from window and stand-off
-    """
-    offset, near, far = float(params["offset_m"]), float(params["range_min_m"]), float(params["range_max_m"])
-    if not near < offset < far:
-        raise ConfigError(
-            f"offset_m is {offset:g} m, outside the sensor's window of {near:g} to {far:g} m; "
-            "give the sensor's near_m and far_m, or another offset_m"
-        )
-    if float(params["too_close_m"]) >= offset:
-        raise ConfigError(
-            f"too_close_m is {float(params['too_close_m']):g} m and offset_m {offset:g} m; "
-            "the first must be less, or every reading would be too close"
-        )
+def _given(
+    data: Mapping[str, Any], plant: Mapping[str, Any], mounts: list[dict[str, Any]]
+) -> dict[str, float]:
+    """The parameters that are given, in whichever way: full name → value; none in two ways."""
+    names, values = names_given(data), {}
+    for full, name in names.items():
+        values[full] = check_param(name, data[name])
+    for key, value in plant.items():
+        add_given(names, _PLANT[key], f"plant.{key}")
+        values[_PLANT[key]] = check_param(_PLANT[key], value)
+    for key, full in _WINDOW.items():
+        found = {n: check_param(full, m[key]) for n, m in enumerate(mounts) if key in m}
+        if not found:
+            continue
+        (first, number), *others = found.items()
+        for n, other in others:
+            if other != number:
+                raise ConfigError(
+                    f"sensors[{first}].{key} is {number:g} m and sensors[{n}].{key} {other:g} m; "
+                    "all sensors have one window: give each of them the part that is common to all"
+                )
+        add_given(names, full, f"sensors[{first}].{key}")
+        values[full] = number
+    return values
 
 
 def default_too_close(near_m: float, offset_m: float) -> tuple[float, float]:

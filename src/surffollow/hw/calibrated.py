@@ -110,14 +110,24 @@ def run_linearizer(control: Any, relay: Any, indicated: Any, range_m: Any) -> No
         wait_until_ns(wake, 0)
 
 
-def tables_of(calibration: Calibration) -> tuple[NDArray[Any], NDArray[Any], list[int]]:
-    """Tables as the kernel takes them: indicated, distances, rows per channel."""
+def tables_of(calibration: Calibration, inner: DriverInfo) -> tuple[NDArray[Any], NDArray[Any], list[int]]:
+    """Tables as the kernel takes them: indicated, distances, rows per channel.
+
+    A channel without a table gets one that changes nothing and ends where the inner driver's window does:
+    the window of the whole may be wider.
+    """
     most = max((len(t.indicated) for t in calibration.tables), default=2)
     x, y = np.zeros((CHANNELS, most)), np.zeros((CHANNELS, most))
     rows = [0] * CHANNELS
     for t in calibration.tables:
         n = rows[t.channel] = len(t.indicated)
         x[t.channel, :n], y[t.channel, :n] = t.indicated, t.range_m
+    share = BEYOND_SHARE / (1.0 + 2.0 * BEYOND_SHARE)  # that the kernel adds at either end
+    spared_m = share * (inner.range_max_m - inner.range_min_m)
+    for channel in range(inner.n_channels):
+        if rows[channel] == 0:
+            rows[channel] = 2
+            x[channel, :2] = y[channel, :2] = inner.range_min_m + spared_m, inner.range_max_m - spared_m
     return x, y, rows
 
 
@@ -168,7 +178,7 @@ class CalibratedDriver(RelayDriver):
         relay = zeros(Linearizer)
         relay["scale"], relay["zero"] = self._inner.info.scale_m, self._inner.info.zero_m
         relay["quantum_m"] = self._info.scale_m[0]
-        indicated, range_m, relay["rows"] = tables_of(self._calibration)
+        indicated, range_m, relay["rows"] = tables_of(self._calibration, self._inner.info)
 
         def kernel(control: int) -> None:
             run_linearizer(control, relay, indicated, range_m)

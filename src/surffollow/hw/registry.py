@@ -93,6 +93,9 @@ def _in_si(value: Any, key: str = "") -> Any:
     """Replace quantities written with units, in keys that end in one, by numbers."""
     if isinstance(value, Mapping):
         if key == "led":
+            twice = [f"{k} and {full}" for k, full in _ENDINGS.items() if k in value and full in value]
+            if twice:
+                raise ConfigError(f"driver.led has {', '.join(twice)}; give one of them")
             value = {_ENDINGS.get(str(k), k): v for k, v in value.items()}
         return {k: _in_si(v, str(k)) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

@@ -16,6 +16,7 @@ from surffollow.map.header import init_header, numbers_fault
 from surffollow.map.kernels.install import install_begin, install_end
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
+from surffollow.units import real_number
 
 
 def map_of_heights(
@@ -51,8 +52,9 @@ def map_of_heights(
         raise UsageError(f"origin_m is x, y; its shape is {corner.shape}")
     known = np.isfinite(z)
     low, high = (float(z[known].min()), float(z[known].max())) if known.any() else (0.0, 0.0)
-    given = ml.DEFAULT_QUANTUM_M if quantum_m is None else quantum_m
-    fault = numbers_fault(grid_m, given, datum_m=datum_m or 0.0, lowest_m=low, highest_m=high)
+    given = ml.DEFAULT_QUANTUM_M if quantum_m is None else real_number(quantum_m, "quantum_m")
+    grid_m, middle_m = real_number(grid_m, "grid_m"), real_number(datum_m or 0.0, "datum_m")
+    fault = numbers_fault(grid_m, given, datum_m=middle_m, lowest_m=low, highest_m=high)
     if fault:
         raise UsageError(fault)
     if quantum_m is None:

@@ -10,6 +10,7 @@ import numpy as np
 from surffollow.errors import UsageError
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
+from surffollow.units import real_number
 
 _FINEST_M, _FARTHEST_M = 1e-12, 1e12
 
@@ -75,6 +76,16 @@ def init_header(
     UsageError
         a value out of its range
     """
+    for name, value in (
+        ("seed", seed),
+        ("capacity_grids", capacity_grids),
+        ("finest_grid_m", finest_grid_m),
+        ("quantum_m", quantum_m),
+        ("datum_m", 0.0 if datum_m is None else datum_m),
+        ("gate_m", gate_m),
+        ("gate_min_count", gate_min_count),
+    ):
+        real_number(value, name)
     if not 0 <= seed < 2**64:
         raise UsageError(f"seed must be 0 … 2^64-1, not {seed!r}")
     if not 1 <= capacity_grids <= 1_000_000_000:

@@ -22,6 +22,7 @@ from surffollow.map.kernels.refocus_plan import refocus_begin
 from surffollow.map.view import MapView
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype, zeros
+from surffollow.units import real_number
 
 _SLICE = 1 << 20
 
@@ -225,7 +226,7 @@ class HeightMap(MapView):
         >>> ground.grid_m < 0.1, int(ground.counts.max())         # finer; heights are priors now
         (True, 0)
         """
-        limits = region_limits(region)
+        limits, finest_m = region_limits(region), real_number(finest_m, "finest_m")
         if finest_m and not ml.MIN_GRID_M <= finest_m <= ml.MAX_GRID_M:
             raise UsageError(
                 f"the finest grid is {finest_m:g} m; it must be {ml.MIN_GRID_M:g} to {ml.MAX_GRID_M:g} m"
@@ -233,7 +234,7 @@ class HeightMap(MapView):
         columns = min(int(self.header[0]["capacity_grids"]), 1 << 16)
         while True:
             scratch = np.zeros(ml.scratch_bytes(columns) // 8)
-            answer = refocus_begin(self.header, self.pairs, scratch, *limits, float(finest_m))
+            answer = refocus_begin(self.header, self.pairs, scratch, *limits, finest_m)
             if answer != ml.NO_SCRATCH or columns >= int(self.header[0]["capacity_grids"]):
                 break
             columns *= 4

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surffollow.map import access
 from surffollow.map.kernels.lookup import surface_at
 from surffollow.shm import map_layout as ml
+from surffollow.units import real_number
 
 
 class MapView:
@@ -30,8 +31,14 @@ class MapView:
         -------
         float
             height [m], or NaN
+
+        Raises
+        ------
+        UsageError
+            a coordinate is no number
         """
-        return float(surface_at(self.header, self.pairs, float(x_m), float(y_m))[0])
+        x, y = real_number(x_m, "x_m"), real_number(y_m, "y_m")
+        return float(surface_at(self.header, self.pairs, x, y)[0])
 
     def slope_at(self, x_m: float, y_m: float) -> tuple[float, float]:
         """(dz/dx, dz/dy) over the neighbouring grids, NaN where unknown.
@@ -45,8 +52,14 @@ class MapView:
         -------
         tuple of two floats
             dz/dx and dz/dy, or NaN
+
+        Raises
+        ------
+        UsageError
+            as `height_at`
         """
-        _, slope_x, slope_y, _ = surface_at(self.header, self.pairs, float(x_m), float(y_m))
+        x, y = real_number(x_m, "x_m"), real_number(y_m, "y_m")
+        _, slope_x, slope_y, _ = surface_at(self.header, self.pairs, x, y)
         return float(slope_x), float(slope_y)
 
     @property

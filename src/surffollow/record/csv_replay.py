@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.params import param_name
+from surffollow.config.params import names_given, param_name
 from surffollow.errors import FaultError, UsageError
 from surffollow.follower import Follower
 from surffollow.record.columns import Columns
@@ -53,22 +53,23 @@ def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
     """
     near_m, far_m = columns.limits_m
     readings = log.range_m[np.isfinite(log.range_m)]
-    config: dict[str, Any] = {
-        "sensor_latency_ns": round(columns.delay_s * 1e9),
-        "sensors": [
-            {
-                "position_m": [parse_quantity(v, "m") for v in columns.mount.position],
-                "orientation": list(columns.mount.orientation),
-                # the kernels take readings strictly inside the limits
-                "near_m": float(np.nextafter(near_m, 0.0)),
-                "far_m": float(np.nextafter(far_m, math.inf)),
-            }
-        ],
+    given = names_given(k for k in columns.follow if k not in TABLES_OF_FOLLOW)
+    sensor: dict[str, Any] = {
+        "position_m": [parse_quantity(v, "m") for v in columns.mount.position],
+        "orientation": list(columns.mount.orientation),
     }
+    # the kernels take readings strictly inside the limits; [follow] has the last word
+    if "range_min_m" not in given:
+        sensor["near_m"] = float(np.nextafter(near_m, 0.0))
+    if "range_max_m" not in given:
+        sensor["far_m"] = float(np.nextafter(far_m, math.inf))
+    config: dict[str, Any] = {"sensors": [sensor]}
+    if "sensor_latency_ns" not in given:
+        config["sensor_latency_ns"] = round(columns.delay_s * 1e9)
     config |= columns.follow
     if mode is not None:
         config["mode"] = mode
-    offset_m = float(readings[0]) if readings.size and "offset_m" not in columns.follow else None
+    offset_m = float(readings[0]) if readings.size and "offset_m" not in given else None
     return Follower(config, offset_m=offset_m)
 
 
@@ -128,12 +129,13 @@ PAPER_SETTINGS = (
     "range_size",
     "sensor_latency_ns",
 )
+TABLES_OF_FOLLOW = ("memory", "plant", "sensors")  # of the follower's configuration: no parameters
 ADAPTIVE_IGNORES = ("ee_readings", "interval_size_m", "range_size", "pose_interpolate")
 
 
 def follow_notes(columns: Columns, mode: str) -> list[str]:
     """Settings of the column file's [follow] that the replay in this mode ignores, as text."""
-    names = {key: param_name(key) for key in columns.follow if key not in ("sensors",)}
+    names = {key: param_name(key) for key in columns.follow if key not in TABLES_OF_FOLLOW}
     paper = mode == "paper"
     idle = [k for k, n in names.items() if (n not in PAPER_SETTINGS if paper else n in ADAPTIVE_IGNORES)]
     if not idle:

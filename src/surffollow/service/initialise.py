@@ -12,12 +12,11 @@ from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.config.stop_causes import STOP_NAMES, stop_causes
 from surffollow.config.trusted_users import own_user
-from surffollow.errors import ConfigError
+from surffollow.config.window_fit import FITTED, check_fit
 from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
 from surffollow.service.answers import params_hash
-from surffollow.service.parameter_bounds import contradiction
 from surffollow.service.shared_objects import SharedObjects
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
@@ -151,40 +150,20 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
     p["sensor_latency_ns"] = info.latency_ns
     p["tool_from_sensor"] = np.array(info.mounts, np.float64).reshape(-1)
     p["stop_on"] = stop_causes(config.stop.on)
-    # the default sensor's 2.15 and 2.3 in, as shares of its window
-    near, width = info.range_min_m, info.range_max_m - info.range_min_m
-    p["too_close_m"] = near + TOO_CLOSE_SHARE * width
-    p["too_close_exit_m"] = near + TOO_CLOSE_EXIT_SHARE * width
     given = follow_params(config)
+    # the default sensor's 2.15 and 2.3 in, as shares of the window in force
+    near, far = given.get("range_min_m", info.range_min_m), given.get("range_max_m", info.range_max_m)
+    p["too_close_m"] = near + TOO_CLOSE_SHARE * (far - near)
+    p["too_close_exit_m"] = near + TOO_CLOSE_EXIT_SHARE * (far - near)
     if given.get("mode", PARAMS["mode"].default) == MODE_ADAPTIVE:
         offset, tau = (given.get(n, PARAMS[n].default) for n in ("offset_m", "plant_tau_s"))
         for name, value in scaled_defaults(offset, tau).items():
             p[name] = value
     for name, value in given.items():
         p[name] = value
-    _check_fit(p)
+    check_fit({name: float(p[name]) for name in FITTED})
     # defaults follow from driver, stand-off and time constant: only now are all of them known
     check_within_limits({name: float(p[name]) for name in PARAMS}, client_limits(config.limits))
-
-
-def _check_fit(p: Any) -> None:
-    """Refuse what `parameter_bounds.contradiction` would refuse of every later request."""
-    near, far, offset = float(p["range_min_m"]), float(p["range_max_m"]), float(p["offset_m"])
-    close, until = float(p["too_close_m"]), float(p["too_close_exit_m"])
-    word = contradiction.py_func(near, far, offset, close, until)
-    if word < 0:
-        return
-    name = next(f.name for f in Params.FIELDS if f.offset == 8 * word)
-    raise ConfigError(
-        {
-            "range_min_m": f"range_min {near:g} m is not below range_max {far:g} m; set follow.range_min and "
-            "follow.range_max, or the driver's window",
-            "offset_m": f"offset {offset:g} m is outside the sensor's window {near:g} to {far:g} m; set "
-            "follow.offset or the driver's window",
-            "too_close_m": f"too_close {close:g} m is above too_close_exit {until:g} m; set both "
-            "follow.too_close and follow.too_close_exit",
-        }[name]
-    )
 
 
 def initialise_log(config: ServiceConfig, objects: SharedObjects) -> None:

@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.config.window_fit import FITTED, MISFITS, misfit
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import Params
 
 OFFSET_WORD = Params.offset("offset_m") // 8
-NEAR_WORD = Params.offset("range_min_m") // 8
-FAR_WORD = Params.offset("range_max_m") // 8
-_CLOSE_WORD = Params.offset("too_close_m") // 8
-_EXIT_WORD = Params.offset("too_close_exit_m") // 8
 # numba compiles a kernel anew for every literal it is called with, but once for what stands in an array
-_FIT_WORDS = np.array([NEAR_WORD, FAR_WORD, OFFSET_WORD, _CLOSE_WORD, _EXIT_WORD])
+_FIT_WORDS = np.array([Params.offset(name) // 8 for name in FITTED])
+_FAULT_WORDS = np.array([Params.offset(name) // 8 for name, _ in MISFITS])
 
 
 @jit
@@ -44,36 +42,25 @@ def requested_value(mem: Any, word: Any) -> Any:
     return value
 
 
-@jit
-def contradiction(near_m: Any, far_m: Any, offset_m: Any, close_m: Any, exit_m: Any) -> Any:
-    """Whether window, stand-off and fold-back fit each other, at the start and after every request.
-
-    Parameters
-    ----------
-    near_m, far_m : float64      limits of the sensor's window [m]
-    offset_m : float64           stand-off [m]
-    close_m, exit_m : float64    where TOO_CLOSE begins and ends [m]
-
-    Returns
-    -------
-    int64  -1 when they do, else the word of the parameter at fault
-    """
-    if not near_m < far_m:
-        return NEAR_WORD
-    if not near_m < offset_m < far_m:
-        return OFFSET_WORD
-    if not close_m <= exit_m:
-        return _CLOSE_WORD
-    return -1
+contradiction = jit(misfit)
 
 
 @jit
 def contradiction_after(mem: Any) -> Any:
-    """Result of `contradiction` for the parameters after the request."""
-    return contradiction(
+    """Word of the parameter at fault when parameters do not fit each other after the request, else -1."""
+    found = contradiction(
         requested_value(mem, _FIT_WORDS[0]),
         requested_value(mem, _FIT_WORDS[1]),
         requested_value(mem, _FIT_WORDS[2]),
         requested_value(mem, _FIT_WORDS[3]),
         requested_value(mem, _FIT_WORDS[4]),
     )
+    return _FAULT_WORDS[found] if found >= 0 else -1
+
+
+@jit
+def standoff_fits(mem: Any, offset_m: Any) -> Any:
+    """Whether a stand-off [m] fits the parameters in force."""
+    p = mem.param_floats
+    near_m, far_m, close_m, exit_m = p[_FIT_WORDS[0]], p[_FIT_WORDS[1]], p[_FIT_WORDS[3]], p[_FIT_WORDS[4]]
+    return contradiction(near_m, far_m, offset_m, close_m, exit_m) < 0

@@ -10,11 +10,10 @@ from surffollow.service import memory as m
 from surffollow.service.answers import ACK_STEP, count, log_params, log_value, publish_params, write_ack
 from surffollow.service.change_notes import note_change, note_old_values
 from surffollow.service.parameter_bounds import (
-    FAR_WORD,
-    NEAR_WORD,
     OFFSET_WORD,
     contradiction_after,
     in_bounds,
+    standoff_fits,
     within_limits,
 )
 from surffollow.service.pose_role import do_pose_role, drop_dead_pose_writer
@@ -162,8 +161,7 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
         return ERR_NOT_POSE_HOLDER, holder_pid(mem.ctx)
     if code == RQ_SF_RESET:
         offset = mem.request[0].value[0]
-        seen = mem.param_floats[NEAR_WORD] < offset < mem.param_floats[FAR_WORD]
-        if not seen or not in_bounds(mem.bounds, OFFSET_WORD, offset):
+        if not standoff_fits(mem, offset) or not in_bounds(mem.bounds, OFFSET_WORD, offset):
             return ERR_BAD_VALUE, OFFSET_WORD
         if not within_limits(mem.bounds, OFFSET_WORD, offset):
             return ERR_BEYOND_LIMITS, OFFSET_WORD

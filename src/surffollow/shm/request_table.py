@@ -77,7 +77,7 @@ REQUESTS: tuple[Request, ...] = (
         lb.RQ_SF_RESET,
         "restart the forecast with a desired stand-off (paper: SFReset)",
         _SETTER,
-        (Argument("value", 0, 1, "offset_m", "m", "the stand-off, inside the sensor's window"),),
+        (Argument("value", 0, 1, "offset_m", "m", "the stand-off, in the window, beyond too_close_m"),),
         {
             lb.OK: "0",
             lb.ERR_BAD_VALUE: _NUMBER,

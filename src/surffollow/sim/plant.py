@@ -65,7 +65,7 @@ def from_table(table: dict[str, Any], kind: type[T], source: str) -> T:
     Raises
     ------
     ConfigError
-        unknown key, wrong unit, value out of range
+        unknown key, wrong unit, value out of range, a value given under two names
     """
     fields = kind.__struct_fields__
     full = {name.removesuffix(_ending(name)): name for name in fields} | {name: name for name in fields}
@@ -74,6 +74,9 @@ def from_table(table: dict[str, Any], kind: type[T], source: str) -> T:
         if key not in full:
             raise ConfigError(f"{source} has the key '{key}'; its keys are {', '.join(fields)}")
         name = full[key]
+        if name in values:
+            other = next(k for k in table if full[k] == name)
+            raise ConfigError(f"{source} gives '{name}' twice, as '{other}' and as '{key}'; give one of them")
         try:
             unit = _ending(name)
             values[name] = parse_quantity(value, _UNITS[unit]) if unit and isinstance(value, str) else value

@@ -37,7 +37,10 @@ static inline int sf_get_param(sf_client *c, const char *name, double *value) {
   return SF_OK;
 }
 
-/* Change up to SF_REQUEST_ARGS parameters, all or none; in force from the next cycle on. */
+/*
+ * Change up to SF_REQUEST_ARGS parameters, all or none; in force from the next cycle on. Values are in SI units. Times
+ * whose full names end in _ns are in ns, under the short name, too.
+ */
 static inline int sf_set_params(sf_client *c, int n, const char *const *names, const double *values) {
   int64_t numbers[SF_REQUEST_ARGS];
   if (c == NULL || names == NULL || values == NULL || n < 1 || n > SF_REQUEST_ARGS) return SF_ERR_ARGUMENT;

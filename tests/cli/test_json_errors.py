@@ -1,0 +1,61 @@
+"""With --json an error is one JSON object on stdout, whichever command it is of."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from surffollow.cli.main import cli
+
+COMMAND = [sys.executable, "-m", "surffollow"]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "kind", "says"),
+    [
+        (("status", "--name", "json-none"), 1, "NotRunningError", "json-none"),
+        (("replay", "none.mcap"), 1, "RecordingError", "none.mcap"),
+        (("replay", "none.csv"), 2, "UsageError", "--columns"),
+        (("replay", "none.mcap", "--start", "soon"), 2, "UsageError", "--start"),
+        (("replay", "none.mcap", "--name", "a/b"), 2, "UsageError", "--name"),
+        (("replay",), 2, "UsageError", "FILE"),
+        (("convert", "none.mcap", "--to", "csv"), 1, "RecordingError", "none.mcap"),
+        (("recover", "none.mcap"), 1, "RecordingError", "none.mcap"),
+        (("record", "--name", "json-none", "--out", "none.mcap"), 1, "NotRunningError", "json-none"),
+        (("benchmark", "--methods", ""), 2, "UsageError", "--methods"),
+        (("benchmark", "--seeds", "5:5"), 2, "UsageError", "--seeds"),
+        (("map", "info", "none.map"), 2, "UsageError", "none.map"),
+        (("scan", "check", "none.path"), 2, "UsageError", "none.path"),
+        (("blocks", "show", "json.none"), 1, "NotRunningError", "json.none"),
+        (("arbiter", "status", "--name", "json-none"), 1, "NotRunningError", "json-none"),
+        (("no-such-verb",), 2, "UsageError", "no-such-verb"),
+    ],
+)
+def test_an_error_is_one_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], code: int, kind: str, says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(cli, [*words, "--json"])
+    (line,) = done.stdout.splitlines()
+    found = json.loads(line)
+    assert set(found) == {"error", "kind", "exit_code"}
+    assert says in found["error"]
+    assert (found["exit_code"], found["kind"]) == (code, kind)
+
+
+@pytest.mark.parametrize("words", [("status", "--name", "json-none"), ("replay", "none.mcap")])
+def test_the_text_stays_on_stderr_and_stdout_is_empty_without_json(
+    tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    plain, as_json = (
+        subprocess.run([*COMMAND, *words, *more], capture_output=True, text=True, cwd=tmp_path)
+        for more in ((), ("--json",))
+    )
+    assert (plain.returncode, plain.stdout) == (1, "")
+    assert as_json.returncode == json.loads(as_json.stdout)["exit_code"] == 1
+    assert as_json.stderr == plain.stderr == f"surffollow: {json.loads(as_json.stdout)['error']}\n"
