@@ -116,7 +116,7 @@ def test_a_helper_that_cannot_start_or_fails_leaves_the_work_to_the_service(
 def test_the_helper_dies_with_a_service_that_is_killed() -> None:
     helper = (
         "import os, time; from surffollow.service import compile_helper as s\n"
-        "s.compile_map = lambda: (print(os.getpid(), flush=True), time.sleep(60))\n"
+        "s.compile_share = lambda: (print(os.getpid(), flush=True), time.sleep(60))\n"
         "s.main(os.getppid())"
     )
     parent = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {helper!r}]).wait()"
@@ -131,7 +131,7 @@ def test_helpers_take_turns_so_that_services_at_once_compile_one_map(cold_cache:
     helper = (
         "import os; from surffollow.service import compile_helper as s\n"
         f"s.cache_directory = lambda: {str(cold_cache)!r}\n"
-        "s.compile_map = lambda: (print('in', flush=True), input())\n"
+        "s.compile_share = lambda: (print('in', flush=True), input())\n"
         "s.main(os.getppid())"
     )
     command = [sys.executable, "-c", helper]

@@ -74,5 +74,4 @@ def test_kernels_let_the_gil_go_and_are_kept_on_disk() -> None:
         return x + 1
 
     assert kernel.targetoptions["nogil"]
-    assert kernel.targetoptions["no_cfunc_wrapper"]
     assert kernel._cache is not None

@@ -1,8 +1,9 @@
-"""At a cold start, compile the kernels of the map thread and of simulated sensors in a second process.
+"""At a cold start, compile half of the kernels in a second process.
 
-They take about as long as the cycle's, and all end up in the kernel cache: the service then loads
-what the other process compiled. A service whose helper dies, or that cannot start one, compiles
-everything by itself. The helper dies with the service.
+The service compiles the follower's step and the cycle's machine code; the helper the rest of the cycle,
+the map thread and simulated sensors. All end up in the kernel cache, where the other process finds them.
+A service whose helper dies, or that cannot start one, compiles everything by itself. The helper dies with
+the service.
 """
 
 from __future__ import annotations
@@ -24,13 +25,16 @@ import numba
 import numpy as np
 from llvmlite import binding as llvm
 
+from surffollow.forecast.step import follow_step
 from surffollow.hw.simulation import simulated
+from surffollow.service.cycle import give_outputs, take_inputs
 from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
-from surffollow.service.memory import make_cycle_memory
+from surffollow.service.memory import CycleMemory, make_cycle_memory
 from surffollow.shm import map_layout as ml
 from surffollow.shm.cache_directory import cache_directory
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.kernel import types_of
 from surffollow.shm.python_child import module_command
 from surffollow.shm.readable import wait_readable
 from surffollow.shm.source_stamp import source_stamp
@@ -91,6 +95,11 @@ class SideCompile:
                 start_new_session=True,  # a Ctrl-C is the service's to answer
             )
 
+    def compile_step(self, mem: CycleMemory) -> None:
+        """Compile the follower's step before the rest of the cycle, which the helper compiles meanwhile."""
+        if self._process is not None:
+            follow_step.part(types_of(mem.params, mem.state, mem.inputs, mem.output, mem.pose))
+
     def wait(self, report: Callable[[], None], stop_fd: int) -> bool:
         """Until the helper has ended, calling `report` now and then; False when `stop_fd` became readable."""
         deadline = time.monotonic() + PATIENCE_S
@@ -110,11 +119,13 @@ class SideCompile:
             self._process = None
 
 
-def compile_map() -> None:
-    """Compile the map thread into the cache, or find it there."""
-    ctx = make_cycle_memory().ctx
-    mem = make_map_memory(ctx, zeros(ml.MapHeader), zeros(ml.GridPair), np.zeros(1), ml.DEFAULT_QUANTUM_M)
-    run_map.compile((numba.typeof(mem),))  # type: ignore[no-untyped-call]
+def compile_share() -> None:
+    """Compile the cycle without its step, then the map thread, into the cache, or find them there."""
+    cycle = make_cycle_memory()
+    take_inputs.part(types_of(cycle, 0))  # first: the service needs these two when it has compiled the step
+    give_outputs.part(types_of(cycle, 0, 0))
+    nothing = zeros(ml.MapHeader), zeros(ml.GridPair), np.zeros(1)
+    run_map.compile(types_of(make_map_memory(cycle.ctx, *nothing, ml.DEFAULT_QUANTUM_M)))
 
 
 def main(parent: int, with_sensors: bool = False) -> None:
@@ -125,7 +136,7 @@ def main(parent: int, with_sensors: bool = False) -> None:
     with open(Path(cache_directory(), ".compile_helper"), "a") as lock_file:
         with contextlib.suppress(OSError):
             fcntl.flock(lock_file, fcntl.LOCK_EX)
-        compile_map()
+        compile_share()
         if with_sensors:
             simulated.warm_up()
 

@@ -132,8 +132,8 @@ def hand_report(mem: Any) -> None:
 
 
 @jit
-def one_cycle(mem: Any, t_ns: Any) -> None:
-    """All of a cycle but the waiting: requests first, then data."""
+def take_inputs(mem: Any, t_ns: Any) -> None:
+    """The cycle before its step: requests first, then data."""
     ctx = mem.ctx
     process_requests(mem, t_ns)
     if mem.state[0].cycle % ctx[m.SNAPSHOT_CYCLES] == 0:
@@ -152,8 +152,12 @@ def one_cycle(mem: Any, t_ns: Any) -> None:
     drain_conversions(mem, t_ns)
     mem.inputs[0].t_ns = t_ns
     fill_preview(mem)
-    stop = mem.state[0].stop
-    follow_step(mem.params, mem.state, mem.inputs, mem.output, mem.pose)
+
+
+@jit
+def give_outputs(mem: Any, stop: Any, t_ns: Any) -> None:
+    """The cycle after its step; `stop` are the causes of a stop before it."""
+    ctx = mem.ctx
     keep_stop(mem, stop, t_ns)
     mem.output[0].epoch = ctx[m.EPOCH]
     latch_write(ctx[m.OUTPUT], mem.output.ctypes.data, _OUTPUT_BYTES)
@@ -161,6 +165,15 @@ def one_cycle(mem: Any, t_ns: Any) -> None:
     log_append(ctx[m.LOG], ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, n)
     push_samples(mem)
     count(ctx[m.STATS], _CYCLES, 1)
+
+
+@jit
+def one_cycle(mem: Any, t_ns: Any) -> None:
+    """All of a cycle but the waiting."""
+    take_inputs(mem, t_ns)
+    stop = mem.state[0].stop
+    follow_step(mem.params, mem.state, mem.inputs, mem.output, mem.pose)
+    give_outputs(mem, stop, t_ns)
 
 
 @jit

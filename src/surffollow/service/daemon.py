@@ -155,6 +155,7 @@ class Daemon:
                 self._compiling = True
                 if wait_readable(self._wake, 0.0):  # asked before a signal could leave the compilation
                     return False
+                side.compile_step(self.mem)
                 run_cycles(self.mem, 0, 0)
                 # the paper's initialisation of the forecast is SFReset itself
                 sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])

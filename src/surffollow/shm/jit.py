@@ -1,56 +1,31 @@
 """How the kernels of this package are compiled: kept on disk, free of the GIL, and quickly.
 
-A service has some 350 kernels, and a first start waits for all of them. Two habits of numba's cost
-time and give us nothing: an entry for C callers beside each kernel, which is never called, and frequent
-collections of garbage, which walk the compiler's millions of objects.
+A service has some 500 kernels, and a first start waits for all of them. Two habits of numba's cost
+time and give us nothing: machine code of each kernel, of which Python calls few (`kernel.py`), and
+frequent collections of garbage, which walk the compiler's millions of objects.
 """
 
 from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
-from numba import njit
-from numba.core import event
-from numba.core.caching import FunctionCache
-from numba.core.dispatcher import Dispatcher
+from numba.core import config, event
 
 from surffollow.shm import blas_check as blas_check  # before the first kernel is loaded
-from surffollow.shm.kernel_cache import note_source
+from surffollow.shm.kernel import Kernel
 
 YOUNG_OBJECTS = 100_000  # between collections while numba compiles; 5 % more memory, 15 % less time
-
-
-class _LateCache:
-    """numba's cache of one kernel, opened when the kernel is loaded or compiled.
-
-    A command imports 500 kernels and calls a few of them. Opening a cache costs 0.5 ms.
-    """
-
-    def __init__(self, py_func: Any) -> None:
-        self._py_func = py_func
-        note_source(py_func.__code__.co_filename)
-
-    @cached_property
-    def _opened(self) -> Any:
-        return FunctionCache(self._py_func)  # type: ignore[no-untyped-call]
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._opened, name)
 
 
 def _kernels(**options: Any) -> Callable[[Any], Any]:
     """A decorator of kernels that are kept on disk."""
     # a division by zero gives inf or NaN: no exceptions, and LLVM can vectorise loops
-    compiled: Any = njit(**{"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy", **options})
+    given = {"nopython": True, "boundscheck": None, "nogil": True, "error_model": "numpy", **options}
 
     def decorate(py_func: Any) -> Any:
-        kernel: Any = compiled(py_func)
-        if isinstance(kernel, Dispatcher):  # else numba's compiler is switched off
-            setattr(kernel, "_cache", _LateCache(py_func))  # noqa: B010 - of an untyped class
-        return kernel
+        return py_func if config.DISABLE_JIT else Kernel(py_func, targetoptions=given)
 
     return decorate
 

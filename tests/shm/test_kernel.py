@@ -1,0 +1,138 @@
+"""Kernels of a package between processes: parts, wholes, callers of numba's own kind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import njit
+
+from surffollow.forecast.pose import pose_at, push_pose
+from surffollow.hw.simulation.counter_noise import hashed_uniform
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
+from surffollow.shm.kernel import Kernel, types_of
+from surffollow.shm.layout_follow import FollowState
+from surffollow.shm.ring import make_ring, ring_drop, ring_length
+
+COUNT = """
+import numpy as np
+from numba.core import event
+from surffollow.shm.kernel import types_of
+from surffollow.service.cycle import count_duration
+compiled = []
+class Names(event.Listener):
+    def on_start(self, happened): compiled.append(happened.data["dispatcher"].py_func.__name__)
+    def on_end(self, happened): pass
+with event.install_listener("numba:compile", Names()):
+    {work}
+print(*sorted(n for n in compiled if n != "impl"))  # numba's own
+"""
+PART = "count_duration.part(types_of(0, 0, 0, 0))"
+WHOLE = "count_duration(np.zeros(100, np.int64).ctypes.data, 0, 792, 5)"
+
+
+def compiled_by(work: str, folder: Path) -> list[str]:
+    """Names of the kernels that a process compiles for `work`, with its cache in `folder`."""
+    command = [sys.executable, "-c", COUNT.format(work=work)]
+    environment = os.environ | {"SURFFOLLOW_CACHE_DIR": str(folder)}
+    run = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    return run.stdout.split()
+
+
+def test_another_process_finds_parts_and_makes_the_whole_of_them(tmp_path: Path) -> None:
+    assert compiled_by(PART, tmp_path) == ["count_duration", "histogram_bin"]  # "count" is pasted
+    assert compiled_by(PART, tmp_path) == []
+    assert compiled_by(WHOLE, tmp_path) == []
+    wholes = [f.name for f in tmp_path.rglob("*.nbc") if not f.name.startswith("part-")]
+    assert len(wholes) == 1, "machine code of what Python called alone"
+
+
+def test_a_part_that_is_lost_is_compiled_again_with_its_callers(tmp_path: Path) -> None:
+    compiled_by(PART, tmp_path)
+    (lost,) = tmp_path.rglob("part-cycle.histogram_bin*.nbc")
+    lost.unlink()
+    assert compiled_by(WHOLE, tmp_path) == ["count_duration", "histogram_bin"]
+
+
+def test_a_kernel_is_called_by_kernels_by_python_and_by_functions_of_numba_in_any_order() -> None:
+    @njit
+    def by_numba(ring: int) -> int:
+        return ring_length(ring) + 1
+
+    @jit
+    def by_kernel(ring: int) -> int:
+        return ring_length(ring) + 2
+
+    at = make_ring(8, 1).ctypes.data
+    for _ in range(2):
+        assert (by_kernel(at), ring_length(at), by_numba(at)) == (2, 0, 1)
+        ring_drop(at, 0)
+
+    @njit
+    def push(state: object, pose: object) -> None:
+        push_pose(state[0].sense, 6, pose, 0)  # type: ignore[index]
+
+    state, pose = zeros(FollowState), np.arange(7.0)
+    push_pose(state[0]["sense"], 5, pose, 0)
+    push(state, pose)
+    assert state[0]["sense"]["pose_count"] == 2
+
+
+def test_a_kernel_returns_what_numba_knows() -> None:
+    @jit
+    def halves(values: object) -> object:
+        return values[:2], values[2:] + 1.0, len(values)  # type: ignore[index, arg-type]
+
+    first, second, n = halves(np.arange(4.0))
+    assert (list(first), list(second), n) == ([0.0, 1.0], [3.0, 4.0], 4)
+
+
+def test_kernels_of_one_name_in_functions_stay_apart() -> None:
+    def make(step: int) -> Kernel:
+        @jit
+        def inner(x: int) -> int:
+            return x + step
+
+        return inner  # type: ignore[no-any-return]
+
+    one, two = make(1), make(2)
+
+    @jit
+    def both(x: int) -> int:
+        return 10 * one(x) + two(x)
+
+    assert both(0) == 12
+    assert (one(0), two(0)) == (1, 2)
+
+
+def test_types_and_options_tell_parts_apart_and_the_process_does_not() -> None:
+    whole, real = types_of(1), types_of(1.0)
+    tags = {hashed_uniform._tag(whole), hashed_uniform._tag(real), pose_at._tag(whole)}
+    assert len(tags) == 3
+    code = (
+        "from surffollow.shm.kernel import types_of; "
+        "from surffollow.hw.simulation.counter_noise import hashed_uniform as k; print(k._tag(types_of(1)))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert run.stdout.split() == [hashed_uniform._tag(whole)]
+
+
+def test_a_mistake_in_a_called_kernel_is_told_each_time() -> None:
+    from numba.core.errors import TypingError
+
+    @jit
+    def wrong(x: int) -> int:
+        return x + "one"  # type: ignore[operator]
+
+    @jit
+    def caller(x: int) -> int:
+        return wrong(x)
+
+    for _ in range(2):
+        with pytest.raises(TypingError, match="add"):
+            caller(1)
