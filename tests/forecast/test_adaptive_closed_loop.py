@@ -98,6 +98,15 @@ def test_a_slow_sensor_follows_a_steep_slope(name, seed):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("speed_mps", "slope"), [(0.08, 0.32), (0.057, 0.37)])
+def test_nearer_ground_counts_at_once_while_the_slope_is_not_known(speed_mps, slope, seed):
+    """GIVEN a sensor of 4 Hz WHEN its first samples show rising ground THEN the tool rises with each."""
+    job = Job(sensor_hz=4, speed_mps=speed_mps, slope=slope)
+    plain = job.clearances_m(seed=seed).min()
+    assert job.clearances_m(job.follower(), seed).min() > plain + 5e-3  # 3 mm more if it does
+
+
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("jump_m", [-0.05, 0.05, 0.1])
 @pytest.mark.parametrize("sensor_hz", [1, 20, 250])
 def test_a_jump_of_the_reported_height_moves_the_tool_hardly(sensor_hz, jump_m, seed):

@@ -72,6 +72,21 @@ def test_a_hazard_costs_hardly_more_clearance_than_a_p_loop_loses(family, seed):
     assert ours.clearance_m > plain.clearance_m - below_m, scenario
 
 
+def test_after_a_jump_of_the_height_the_estimate_begins_anew():
+    # heights of two frames were blended here: 5.5 mm
+    scenario = draw("height jump", 2250)
+    ours, plain = play(follower(), scenario), play(PLoop(), scenario)
+    assert ours.clearance_m > plain.clearance_m - 2e-3
+
+
+@pytest.mark.parametrize("seed", [2215, 2240])
+def test_four_blocked_sensors_are_tested_by_their_mean_range(seed):
+    # the range of the reference alone is noisier, and hides the fault for longer: 30 and 17 mm
+    scenario = draw("all blocked", seed)
+    ours, plain = play(follower(KINDS["all blocked"].mounts_m), scenario), play(PLoop(), scenario)
+    assert ours.clearance_m > plain.clearance_m - BELOW_P_M
+
+
 @pytest.mark.parametrize("size_m", [2.5e-3, -2.5e-3])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_sensor_stuck_with_one_count_of_flicker_is_found(seed, size_m):

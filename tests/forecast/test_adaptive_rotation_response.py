@@ -8,6 +8,17 @@ import pytest
 from surffollow import Follower
 from surffollow.benchmark.hazard_ground import quaternion
 from surffollow.benchmark.hazard_scenarios import FAR_M, FOUR, NEAR_M, STANDOFF_M
+from surffollow.forecast.attitude import rotation_response
+from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_sensing import (
+    ROTATION_FAILED,
+    ROTATION_HOLD,
+    ROTATION_PROBE,
+    ROTATION_RUN,
+)
+from surffollow.shm.layout_follow import Params
 
 MS = 1_000_000
 TAU_S, SIGMA_M = 0.06, 0.25e-3
@@ -64,3 +75,113 @@ def test_ground_that_turns_steadily_is_followed(seed):
 
     last, _ = turned(read, 4.0, seed)
     assert last == pytest.approx(0.6, abs=0.03)
+
+
+class Bench:
+    """The kernel alone: a tool tilted about y, over a plane that deviates from its axis by `deviation`."""
+
+    def __init__(self) -> None:
+        self.params, self.a = zeros(Params)[0], zeros(AdaptiveState)[0]
+        self.params["max_tilt_rad"] = 0.8
+        self.a["plant"]["tau_s"], self.a["noise"]["sigma_m"] = TAU_S, SIGMA_M
+        self.a["plane"]["rank"], self.a["plane"]["count"], self.a["plane"]["spread_m2"] = 2, 9, 6.75e-4
+        self.tilt, self.t_ns = 0.0, 10**9
+
+    def run(self, samples: int, rate_radps: float, deviation: float) -> int:
+        """The phase after so many samples at 250 Hz while the tool turns."""
+        for _ in range(samples):
+            self.t_ns += 4 * MS
+            self.tilt += 4e-3 * rate_radps
+            self.a["plane"]["fitted_x"] = -np.tan(self.tilt + deviation)
+            pose = np.array([0.0, 0.0, 0.1, *quaternion(np.array([0.0, self.tilt]))])
+            observe_rotation(self.params, self.a, self.t_ns, pose)
+        return int(self.a["rotation"]["phase"])
+
+    def turned_by(self, wanted_rad: float) -> float:
+        """How far the test lets the axis turn of what is wanted, from where its phase began [rad]."""
+        x, _, _ = rotation_response.tested_direction(
+            self.a["rotation"], np.sin(self.tilt + wanted_rad), 0.0, np.cos(self.tilt + wanted_rad)
+        )
+        return float(np.arcsin(x)) - self.tilt
+
+
+def test_a_deviation_that_ignores_the_rotation_is_held_probed_and_failed_until_it_changes():
+    bench = Bench()
+    assert bench.run(60, 0.3, 0.03) == ROTATION_HOLD
+    assert bench.turned_by(0.5) == pytest.approx(0.0, abs=5e-3)
+    assert bench.run(80, 0.0, 0.03) == ROTATION_PROBE
+    probe = bench.turned_by(0.5)
+    assert 0.01 < probe < 0.05
+    assert bench.run(100, 0.0, 0.03) == ROTATION_PROBE, "without a rotation nothing is learned"
+    assert bench.run(80, probe / 0.24, 0.03) == ROTATION_FAILED
+    assert bench.turned_by(0.5) <= 0.0, "no farther than where it failed"
+    assert bench.run(200, 0.0, 0.03) == ROTATION_FAILED
+    assert bench.run(20, 0.0, 0.06) == ROTATION_RUN
+
+
+def test_ground_that_stopped_turning_during_a_hold_answers_the_probe():
+    bench = Bench()
+    bench.run(60, 0.3, 0.03)
+    assert bench.run(80, 0.0, 0.03) == ROTATION_PROBE
+    for k in range(60):  # what the tool turns the deviation shrinks by
+        phase = bench.run(1, 0.1, 0.03 - 4e-4 * k)
+    assert phase == ROTATION_RUN
+
+
+def test_a_lag_explains_a_small_deviation_but_not_a_long_rotation():
+    bench = Bench()
+    assert bench.run(60, 0.9, 0.012) == ROTATION_RUN  # 0.2 rad; 0.3 tau times the rate is 0.016
+    assert bench.run(20, 0.9, 0.012) == ROTATION_HOLD  # 0.3 of the greatest tilt
+
+
+@pytest.mark.parametrize("lost", [("plane", "rank", 1), ("beams", "inconsistent", 1)])
+def test_too_few_beams_end_a_hold(lost):
+    bench = Bench()
+    assert bench.run(60, 0.3, 0.03) == ROTATION_HOLD
+    record, field, value = lost
+    bench.a[record][field] = value
+    assert bench.run(5, 0.0, 0.03) == ROTATION_HOLD
+    assert bench.run(20, 0.0, 0.03) == ROTATION_RUN
+
+
+def test_the_mean_range_is_of_all_beams_that_are_new():
+    beams = zeros(AdaptiveState)[0]["beams"]
+    assert mean_range(beams, 4, 10**9, 0.2) == 0.2
+    beams["t_ns"][:3], beams["range_m"][:3] = 10**9 - MS, (0.1, 0.2, 0.6)
+    beams["t_ns"][2] -= 100 * MS
+    assert mean_range(beams, 4, 10**9, 0.5) == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_one_blocked_reference_does_not_stop_a_follower_with_three_good_sensors(seed):
+    """GIVEN channel 0 constant WHEN the ground falls and the tool follows it THEN it is not called stuck."""
+    rng = np.random.default_rng(seed)
+    sensors = [{"near_m": NEAR_M, "far_m": FAR_M, "position_m": [x, y, 0.0]} for x, y in FOUR]
+    f = Follower({"sensors": sensors}, offset_m=STANDOFF_M)
+    z, tilt = STANDOFF_M, np.zeros(2)
+    for ms in range(0, 6000, 4):
+        t_ns, ground = (1000 + ms) * MS, -0.02e-3 * max(ms - 1000, 0)
+        f.pose(t_ns, (0.05e-3 * ms, 0.0, z, *quaternion(tilt)))
+        r = z - ground + SIGMA_M * rng.standard_normal(4)
+        if ms > 1000:
+            r[0] = STANDOFF_M + SIGMA_M * rng.standard_normal()
+        demand = f.step(t_ns, r)
+        z += float(demand[2]) * (4e-3 / TAU_S)
+        assert f.state()["health"] != "STUCK"
+    assert "VALID" in f.state()["status"]
+
+
+def test_a_tool_whose_sensors_are_all_stuck_does_not_rotate():
+    sensors = [{"near_m": NEAR_M, "far_m": FAR_M, "position_m": [x, y, 0.0]} for x, y in FOUR]
+    f, rng, stuck = Follower({"sensors": sensors}, offset_m=STANDOFF_M), np.random.default_rng(3), 0
+    r = STANDOFF_M - 0.1 * np.array([x for x, _ in FOUR])
+    for ms in range(0, 2000, 4):
+        t_ns = (1000 + ms) * MS
+        rise = 0.03e-3 * max(ms - 1000, 0)
+        f.pose(t_ns, (0.05e-3 * ms, 0.0, STANDOFF_M + rise, 0.0, 0.0, 0.0, 1.0))
+        noise = SIGMA_M * rng.standard_normal(4) if ms < 1000 else 0.0
+        demand = f.step(t_ns, r + noise)
+        if "STUCK" in f.state()["faults"]:
+            stuck += 1
+            assert (np.array(demand[3:]) == 0.0).all()
+    assert stuck > 50

@@ -136,3 +136,16 @@ def test_a_mistake_in_a_called_kernel_is_told_each_time() -> None:
     for _ in range(2):
         with pytest.raises(TypingError, match="add"):
             caller(1)
+
+
+def test_another_process_finds_every_kernel_of_the_service() -> None:
+    code = (
+        "import sys; import surffollow.service.daemon; from surffollow.shm.kernel import Kernel\n"
+        "mine = [m for n, m in list(sys.modules.items()) if n.startswith('surffollow.')]\n"
+        "kernels = {k for m in mine for k in vars(m).values() if isinstance(k, Kernel)}\n"
+        "print(len(kernels), *sorted(k.name for k in kernels if not k.is_kept()))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    count, *lost = run.stdout.split()
+    assert int(count) > 100
+    assert lost == [], "their callers are compiled in every process"

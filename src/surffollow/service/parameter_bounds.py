@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba.extending import register_jitable
 
 from surffollow.config.window_fit import FITTED, MISFITS, misfit
 from surffollow.shm.jit import jit
@@ -42,13 +43,13 @@ def requested_value(mem: Any, word: Any) -> Any:
     return value
 
 
-contradiction = jit(misfit)
+register_jitable(misfit)  # a kernel would be named by its module, where it is a function of Python
 
 
 @jit
 def contradiction_after(mem: Any) -> Any:
     """Word of the parameter at fault when parameters do not fit each other after the request, else -1."""
-    found = contradiction(
+    found = misfit(
         requested_value(mem, _FIT_WORDS[0]),
         requested_value(mem, _FIT_WORDS[1]),
         requested_value(mem, _FIT_WORDS[2]),
@@ -63,4 +64,4 @@ def standoff_fits(mem: Any, offset_m: Any) -> Any:
     """Whether a stand-off [m] fits the parameters in force."""
     p = mem.param_floats
     near_m, far_m, close_m, exit_m = p[_FIT_WORDS[0]], p[_FIT_WORDS[1]], p[_FIT_WORDS[3]], p[_FIT_WORDS[4]]
-    return contradiction(near_m, far_m, offset_m, close_m, exit_m) < 0
+    return misfit(near_m, far_m, offset_m, close_m, exit_m) < 0

@@ -201,7 +201,7 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
     """
     beams, plane = adaptive.beams, adaptive.plane
     n, repeating, constant, deviating = 0, 0, 0, 0
-    stuck_ns = max(1e-9 * STUCK_NS, STUCK_SAMPLES * adaptive.prediction.interval_s) * 1e9
+    stuck_ns = max(STUCK_NS, STUCK_SAMPLES * adaptive.prediction.interval_s * 1e9)
     for c in range(n_channels):
         beams.accepted[c] = 0
         if beams.t_ns[c] == 0 or abs(t_ns - beams.t_ns[c]) > MAX_AGE_NS:

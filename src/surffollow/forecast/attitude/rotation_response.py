@@ -73,8 +73,14 @@ def _begin_phase(rotation: Any, phase: Any, t_ns: Any, axis: Any) -> None:
 
 
 @jit
+def reset_rotation(rotation: Any) -> None:
+    """Begin anew with the next plane."""
+    rotation.t_ns, rotation.phase = 0, ROTATION_RUN
+
+
+@jit
 def observe_rotation(params: Any, adaptive: Any, t_ns: Any, pose: Any) -> None:
-    """Update the test with a plane that the newest sample updated.
+    """Update the test with the newest plane.
 
     Parameters
     ----------
@@ -83,7 +89,9 @@ def observe_rotation(params: Any, adaptive: Any, t_ns: Any, pose: Any) -> None:
     pose : (7,) float64  pose at that time
     """
     rotation, plane, tau_s = adaptive.rotation, adaptive.plane, adaptive.plant.tau_s
-    if plane.rank != 2 or plane.count == 0:
+    if plane.rank != 2 or plane.count == 0 or adaptive.beams.inconsistent != 0:
+        if t_ns - rotation.t_ns > MAX_GAP_NS:
+            reset_rotation(rotation)  # too few beams to see a response: what is left is followed as ever
         return
     axis = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
     nx, ny, nz = rotate(-pose[3], -pose[4], -pose[5], pose[6], -plane.fitted_x, -plane.fitted_y, 1.0)
@@ -158,9 +166,3 @@ def tested_direction(rotation: Any, nx: Any, ny: Any, nz: Any) -> Any:
     x, y, z = u[0] + share * (nx - u[0]), u[1] + share * (ny - u[1]), u[2] + share * (nz - u[2])
     length = math.sqrt(x * x + y * y + z * z)
     return x / length, y / length, z / length
-
-
-@jit
-def reset_rotation(rotation: Any) -> None:
-    """Begin anew with the next plane."""
-    rotation.t_ns, rotation.phase = 0, ROTATION_RUN

@@ -227,8 +227,7 @@ def update_estimate(
     update_travel(params, gate, travel)
     unconfirmed = gate.unconfirmed_m
     # the next one is far away: each counts; with few samples those of nearer ground do
-    nearer = max(plausible, PLAUSIBLE_SLOPE * travel) if innovation > 0.0 else PLAUSIBLE_SLOPE * travel
-    sparse = nearer > gate_width(params, gate)
+    sparse = (plausible if innovation > 0.0 else PLAUSIBLE_SLOPE * travel) > gate_width(params, gate)
     if not sparse and needs_second_sample(adaptive, innovation, width) != 0:
         if adapt != 0 and estimate.samples > 1:
             update_scale(gate, innovation, width)  # frequent ones mean rough ground
