@@ -14,7 +14,7 @@ import math
 
 RING = 1024
 POSES_KEPT = 256
-ABSENT_NS = 10_000_000
+ABSENT_TAU = 0.25
 BRANCH_TEST_M = 0.002
 PROBE_M = 0.001
 
@@ -134,6 +134,7 @@ class NaiveFollower:
 
     def __init__(self, params):
         self.params = dict(params)
+        self.absent_ns = ABSENT_TAU * 1e9 * params["plant_tau_s"]
         n = 8
         self.windows = [[] for _ in range(n)]
         self.last_sample_ns, self.spacing_ns = [None] * n, [0] * n
@@ -175,7 +176,7 @@ class NaiveFollower:
     def sample(self, c, t_ns, distance):
         if self.steps_without[c] and self.last_sample_ns[c] is not None:
             gap = t_ns - self.last_sample_ns[c]
-            if gap > max(ABSENT_NS, 2 * self.spacing_ns[c]):
+            if gap > max(self.absent_ns, 2 * self.spacing_ns[c]):
                 self.lose(c)
         self.steps_without[c] = 0
         self.windows[c] = [*self.windows[c], (t_ns, distance)][-64:]
@@ -307,7 +308,7 @@ class NaiveFollower:
         out["delta_h"], out["error"] = delta_h, error
         status = {"VALID"}
         age = None if self.reading is None else t_ns - self.reading[0]
-        if 0 not in fresh and (not self.valid[0] or age is None or age > ABSENT_NS):
+        if 0 not in fresh and (not self.valid[0] or age is None or age > self.absent_ns):
             status.add("NO_SENSOR")
         expected = delta_h + error
         cut = max(-p["max_demand_m"], min(p["max_demand_m"], expected))

@@ -7,7 +7,7 @@
 
 enum { CHANNELS = 8, WINDOW = 64, POSES = 256, POINTS = 64, INTERVALS = 1024 };
 enum { VALID = 1, NO_POSE = 2, POSE_STALE = 4, NO_SENSOR = 8, TOO_CLOSE = 16, LIMITED = 32, SENSOR_LOST = 256 };
-enum { ABSENT_NS = 10000000 };
+static const double ABSENT_TAU = 0.25;
 
 static void take_poses(SenseState *s, const Inputs *in) {
   for (int64_t k = 0; k < in->n_poses; k++) {
@@ -28,11 +28,11 @@ static void lose_channel(SenseState *s, int64_t c) {
   s->losses[c]++;
 }
 
-static void push_sample(SenseState *s, int64_t c, int64_t t, double range) {
+static void push_sample(const Params *p, SenseState *s, int64_t c, int64_t t, double range) {
   if (s->missed[c]) {
     s->missed[c] = 0;
     int64_t gap = t - s->seen_t_ns[c];
-    if (s->seen_t_ns[c] != 0 && gap > ABSENT_NS && gap > 2 * s->spacing_ns[c]) lose_channel(s, c);
+    if (s->seen_t_ns[c] != 0 && gap > 2 * s->spacing_ns[c] && gap > ABSENT_TAU * 1e9 * p->plant_tau_s) lose_channel(s, c);
   }
   int64_t slot = c * WINDOW + (s->window_n[c] & (WINDOW - 1));
   s->window_m[slot] = range;
@@ -63,7 +63,7 @@ static void take_conversions(const Params *p, SenseState *s, const Inputs *in) {
     if (((word >> 27) & 1) || !(p->range_min_m < range && range < p->range_max_m))
       lose_channel(s, c);
     else
-      push_sample(s, c, in->t_ns + (word >> 32), range);
+      push_sample(p, s, c, in->t_ns + (word >> 32), range);
   }
   int64_t readings = p->sensor_readings;
   for (int64_t c = 0; c < p->n_channels; c++) {

@@ -23,9 +23,10 @@ def stretched(t_ns, power):
     return t_ns << power if power >= 0 else t_ns >> -power
 
 
-def make_follower(length, second, places):
+def make_follower(length, second, places, **settings):
     return Follower(
         {
+            **settings,
             "plant": {
                 "tau_s": 0.04 * second,
                 "v_max_mps": 0.2 * length / second,
@@ -44,7 +45,7 @@ def make_follower(length, second, places):
     )
 
 
-def closed_loop(length, power, places=ONE, cycles=700, follower=None, every=1):
+def closed_loop(length, power, places=ONE, cycles=700, follower=None, every=1, gaps=()):
     """Demands there and back over wavy, stepped ground with noise, glitches and a loss."""
     follower = follower or make_follower(length, 2.0**power, places)
     rng = np.random.default_rng(5)
@@ -59,7 +60,7 @@ def closed_loop(length, power, places=ONE, cycles=700, follower=None, every=1):
             at = x + place
             ground = 0.004 * math.sin(20.0 * at) + (0.006 if 0.15 < at < 0.22 else 0.0)
             noise = 2.5e-4 * rng.standard_normal() + (0.02 if rng.random() < 0.02 else 0.0)
-            seen = k % every == 0 and not 300 < k < 340
+            seen = k % every == 0 and not 300 < k < 340 and k not in gaps
             readings.append((z - ground + noise) * length if seen else math.nan)
         demand = follower.step(stretched(k * READING_NS, power), readings)
         demand[:3] /= length
@@ -91,6 +92,18 @@ def test_the_demand_does_not_change_by_a_bit_with_all_times(reference, power):
 @pytest.mark.parametrize(("length", "power"), [(64.0, 5), (2.0**-5, -2), (2.0**-5, 3)])
 def test_several_sensors_scale_likewise(reference, places, length, power):
     assert (closed_loop(length, power, places) == reference[len(places)]).all()
+
+
+def test_means_of_several_readings_are_emptied_by_gaps_of_the_same_scale():
+    """Gaps of 2 to 6 sample intervals, 8 to 25 ms, on both sides of the least that counts."""
+    gaps = {first + n for first in range(50, 600, 20) for n in range(1 + first // 20 % 5)}
+    runs = {
+        power: closed_loop(
+            1.0, power, gaps=gaps, follower=make_follower(1.0, 2.0**power, ONE, sensor_readings=3)
+        )
+        for power in (-4, 0, 3, 8)
+    }
+    assert all((demands == runs[0]).all() for demands in runs.values())
 
 
 def test_remembered_ground_scales_likewise():

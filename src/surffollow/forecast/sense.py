@@ -15,9 +15,14 @@ from surffollow.shm.conversion import (
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import CHANNELS, CONVERSION_WINDOW
 
-# a reading this old no longer counts as present, whatever the cycle rate
-ABSENT_NS = 10_000_000
+ABSENT_TAU = 0.25  # a reading older than this share of τ no longer counts as present; 10 ms at 40 ms
 SPACING_GROWTH = 8  # a few losses between lone readings do not make a slow sensor
+
+
+@jit_inlined
+def is_absent(params: Any, age_ns: Any) -> Any:
+    """Whether a reading of this age no longer counts as present, whatever the cycle rate."""
+    return age_ns > ABSENT_TAU * 1e9 * params.plant_tau_s
 
 
 @jit_inlined
@@ -42,14 +47,15 @@ def note_spacing(sense: Any, c: Any, t_ns: Any) -> None:
 
 
 @jit_inlined
-def push_sample(sense: Any, c: Any, t_ns: Any, range_m: Any) -> None:
+def push_sample(params: Any, sense: Any, c: Any, t_ns: Any, range_m: Any) -> None:
     """Append a valid sample to the channel's window, which a gap before it empties.
 
-    A gap is longer than `ABSENT_NS` and than twice the usual spacing of samples (a slow sensor has no
+    A gap is longer than `ABSENT_TAU` and than twice the usual spacing of samples (a slow sensor has no
     gaps), with a step in it that brought no sample (a slow cycle makes no gaps).
 
     Parameters
     ----------
+    params : record of `Params`     read only
     sense : record of `SenseState`  updated
     c : int                         channel
     t_ns : int64                    timestamp of the sample
@@ -58,7 +64,7 @@ def push_sample(sense: Any, c: Any, t_ns: Any, range_m: Any) -> None:
     if sense.missed[c] != 0:
         sense.missed[c] = 0
         gap_ns = t_ns - sense.seen_t_ns[c]
-        if sense.seen_t_ns[c] != 0 and gap_ns > ABSENT_NS and gap_ns > 2 * sense.spacing_ns[c]:
+        if sense.seen_t_ns[c] != 0 and gap_ns > 2 * sense.spacing_ns[c] and is_absent(params, gap_ns):
             lose_channel(sense, c)
     n = sense.window_n[c]
     slot = c * CONVERSION_WINDOW + (n & (CONVERSION_WINDOW - 1))
@@ -118,7 +124,7 @@ def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
         if bad or not (params.range_min_m < range_m < params.range_max_m):
             lose_channel(sense, c)
         else:
-            push_sample(sense, c, inputs.t_ns + conversion_dt_ns(word), range_m)
+            push_sample(params, sense, c, inputs.t_ns + conversion_dt_ns(word), range_m)
     average_windows(params, sense)
 
 
@@ -134,7 +140,7 @@ def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
     for c in range(min(inputs.n_ranges, params.n_channels)):
         range_m = inputs.given_m[c]
         if params.range_min_m < range_m < params.range_max_m:
-            push_sample(sense, c, inputs.given_t_ns, range_m)
+            push_sample(params, sense, c, inputs.given_t_ns, range_m)
         elif range_m == range_m:
             lose_channel(sense, c)
     average_windows(params, sense)

@@ -23,7 +23,7 @@ from surffollow.forecast.reference_scales import (
     unscale_outputs,
 )
 from surffollow.forecast.reset import reset_surface
-from surffollow.forecast.sense import ABSENT_NS, take_conversions, take_poses, take_ranges
+from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing.latency_identification import check_configured_latency
 from surffollow.forecast.stop import apply_stop
 from surffollow.shm.jit import jit, jit_inlined
@@ -171,7 +171,7 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
         note_place(p, state.sense)
     output.delta_h_m, output.error_m = delta_h, error
     status = VALID
-    if fresh == 0 and (state.sense.valid[0] == 0 or inputs.t_ns - p.reading_t_ns > ABSENT_NS):
+    if fresh == 0 and (state.sense.valid[0] == 0 or is_absent(params, inputs.t_ns - p.reading_t_ns)):
         status |= NO_SENSOR
     demand_m = delta_h + error
     limited_m = limit(demand_m, params.max_demand_m)
