@@ -92,8 +92,6 @@ def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any
         return 0.0
     gap_x, gap_y = pose[0] + sample.tip_x_m - sample.x_m, pose[1] + sample.tip_y_m - sample.y_m
     gap = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
-    if adaptive.estimate.frame < kinematics.jump_pose:  # the footprint is in the frame before the jump
-        gap = kinematics.speed_mps**2 * (pose_t_ns - adaptive.hold.t_ns) * 1e-9
     delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + mean_wait_s(params, adaptive.controller)
     return gap / kinematics.speed_mps + kinematics.speed_mps * delay_s
 
