@@ -31,12 +31,17 @@ class Job:
     slope: float = 0.0
     flat_m: float = 0.0
     seconds: float = 5.0
+    mount_m: float = 0.0  # of the sensor, from the tool along the direction of travel
 
     def follower(self) -> Follower:
         near, far = self.window_m
         plant = {"tau_s": self.tau_s, "v_max_mps": self.v_max_mps, "a_max_mps2": self.a_max_mps2}
         return Follower(
-            {"sensors": [{"near_m": near, "far_m": far}], "plant": plant}, offset_m=self.standoff_m
+            {
+                "sensors": [{"near_m": near, "far_m": far, "position_m": [self.mount_m, 0.0, 0.0]}],
+                "plant": plant,
+            },
+            offset_m=self.standoff_m,
         )
 
     def clearances_m(self, follower=None, seed=0, misread=None, frame_z_m=None) -> np.ndarray:
@@ -71,7 +76,8 @@ def clearances_m(
     axis = np.array([heights_m[0] + job.standoff_m, 0.0])
     target = reported = axis[0]
     reports, ranges, error, out = deque(), deque(), 0.0, []
-    for ms, (x, ground) in enumerate(zip(places_m, heights_m, strict=True)):
+    seen_m = np.interp(places_m + job.mount_m, places_m, heights_m) if job.mount_m else heights_m
+    for ms, (x, ground, seen) in enumerate(zip(places_m, heights_m, seen_m, strict=True)):
         t, clearance = 1e-3 * ms, axis[0] - ground
         out.append(clearance)
         if settings and ms in settings:
@@ -83,7 +89,7 @@ def clearances_m(
             if follower:
                 follower.pose((1000 + at) * MS, (was, 0.0, reported + off, 0.0, 0.0, 0.0, 1.0))
         if ms % int(1e3 / job.sensor_hz) == 0:
-            read = clearance + job.sigma_m * rng.standard_normal()
+            read = axis[0] - seen + job.sigma_m * rng.standard_normal()
             ranges.append((ms, misread(t, read, rng) if misread else read))
         if ranges and ranges[0][0] + range_late_ms <= ms:
             at, read = ranges.popleft()
@@ -127,6 +133,35 @@ def test_a_slow_sensor_follows_a_steep_slope(name, seed):
     job = SLOPES[name]
     plain = job.clearances_m(seed=seed).min()
     assert job.clearances_m(job.follower(), seed).min() > plain - 0.2 * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    ("mount_m", "sensor_hz", "speed_mps", "slope"),
+    [
+        (-0.006, 100, 0.1, 0.1),
+        (-0.03, 100, 0.2, 0.2),
+        (-0.03, 50, 0.4, 0.2),
+        (-0.06, 250, 0.1, 0.2),  # 600 ms behind: more than half of the setpoints that are kept
+        (-0.06, 100, 0.02, 0.2),
+    ],
+)
+def test_a_sensor_that_trails_follows_a_slope(mount_m, sensor_hz, speed_mps, slope, seed):
+    """GIVEN a sensor that sees the ground behind the tool WHEN a slope goes on THEN the tool does not lag."""
+    job = Job(
+        mount_m=mount_m,
+        sensor_hz=sensor_hz,
+        speed_mps=speed_mps,
+        slope=slope,
+        flat_m=0.1,
+        seconds=max(0.5 / speed_mps, 4.0),
+    )
+    plain = job.clearances_m(seed=seed)
+    own = job.clearances_m(job.follower(), seed)
+    last = 1e3 * own[-1000:].mean()
+    print(f"least {1e3 * own.min():.1f} mm, P loop {1e3 * plain.min():.1f} mm; on the slope {last:.1f} mm")
+    assert own.min() > plain.min() - 0.1 * job.standoff_m  # where the slope begins
+    assert abs(last - 100.0) < 1.0
 
 
 @pytest.mark.parametrize("seed", [1, 2])

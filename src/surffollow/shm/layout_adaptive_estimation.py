@@ -62,6 +62,7 @@ class Bank(Schema):
 class Shadow(Schema):
     """Shadow axes of the models (`shadow_axes`)."""
 
+    t_ns = I64(unit="ns", doc="time up to which the axes are simulated")
     setpoint_m = F64(MAX_MODELS * N_PERIODS, unit="m", doc="setpoints of all models, per period of a ring")
     position_m = F64(MAX_MODELS, unit="m", doc="position of the axes")
     velocity_mps = F64(MAX_MODELS, unit="m/s", doc="velocity")

@@ -39,7 +39,13 @@ from surffollow.forecast.estimation.noise import (
     shift_heights,
     update_noise,
 )
-from surffollow.forecast.plant.shadow_axes import propagate_shadows, reset_effort, reset_shadows
+from surffollow.forecast.plant.shadow_axes import (
+    MIN_SPEED_MPS,
+    compared_lag_s,
+    propagate_shadows,
+    reset_effort,
+    reset_shadows,
+)
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.latency_identification import reset_delay
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M, store_ground
@@ -47,7 +53,6 @@ from surffollow.forecast.terrain.terrain_regression import reset_mean, update_re
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-MIN_SPEED_MPS = 1e-3  # least speed assumed: the bank updates at rest, too
 IMMEDIATELY_S = 1.0  # long against every time constant of the weights
 INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
 AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
@@ -114,7 +119,7 @@ def reset_estimate(
     estimate = adaptive.estimate
     fresh = gate.slot_likelihood == 0.0 and noise.sigma_m == 0.0
     reset_bank(adaptive.bank, h_m, INITIAL_NOISE_M * INITIAL_NOISE_M)
-    reset_shadows(shadow, h_m + standoff_m)
+    reset_shadows(shadow, t_ns, h_m + standoff_m)
     if fresh:
         reset_index(weights)
         reset_effort(shadow)
@@ -225,7 +230,8 @@ def update_estimate(
         return 1
     gap = t_ns - estimate.sample_ns > max(GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
     travel = max(travel_m, MIN_SPEED_MPS * dt)
-    propagate_shadows(params, adaptive, estimate.sample_ns, t_ns)
+    over_ns = t_ns - int(compared_lag_s(adaptive) * 1e9)
+    comparable = propagate_shadows(params, adaptive, over_ns)
     estimate.sample_ns = t_ns
     estimate.arc_length_m += travel
     propagate_bank(bank, travel)
@@ -262,8 +268,8 @@ def update_estimate(
         accept_sample(params, gate)
     if adapt != 0:
         update_scale(gate, innovation, width)
-        # a shadow axis is where the tool is: only heights measured there give its error
-        if t_ns > estimate.settle_ns and abs(adaptive.sample.lead_m) < MIN_LEAD_M:
+        # a shadow axis is where the tool is or was: only heights measured there give its error
+        if comparable != 0 and over_ns > estimate.settle_ns and adaptive.sample.lead_m < MIN_LEAD_M:
             update_index(params, adaptive, travel, dt, h_m + standoff_m)
         update_noise(adaptive, h_m)
     r = max(noise.sigma_m, MIN_NOISE_M) ** 2
@@ -273,7 +279,7 @@ def update_estimate(
         estimate.slope * estimate.slope - estimate.slope_power
     )
     if adaptive.weights.scored == 0:
-        reset_shadows(adaptive.shadow, estimate.height_m + standoff_m)
+        reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)
     estimate.samples += 1
     note_accepted(adaptive, t_ns)
     if estimate.samples >= INITIALISATION_SAMPLES:

@@ -14,6 +14,8 @@ from surffollow.shm.layout_adaptive_estimation import MAX_MODELS, N_PERIODS
 AXIS_STEP_NS = 2_000_000  # of the shadow axes
 MAX_AXIS_STEPS = 32  # bounds the work per sample
 MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
+MAX_LAG_S = 0.32  # of a sensor that trails: half the setpoints kept, the others are for its latency
+MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest, too
 MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
 EFFORT_RATE = 0.02  # per controller period
 EFFORT_UNIT = 1.0  # (1 m/s²)²
@@ -22,36 +24,58 @@ PERIOD_RATE_HZ2 = 1e4  # squared rate of the controller, 100 Hz
 
 
 @jit
-def reset_shadows(shadow: Any, z_m: Any) -> None:
-    """Put every shadow axis to rest at a height."""
+def compared_lag_s(adaptive: Any) -> Any:
+    """Time from the tool over a footprint to its sample when the sensor trails, MAX_LAG_S at most [s]."""
+    trail_m = max(-adaptive.sample.lead_m, 0.0)
+    return min(trail_m / max(adaptive.kinematics.speed_mps, MIN_SPEED_MPS), MAX_LAG_S)
+
+
+@jit
+def uncompared_m(adaptive: Any) -> Any:
+    """Part of the distance by which the sensor trails that the tool does not travel in MAX_LAG_S [m].
+
+    The setpoints of the shadow axes leave it out: they are for so much less than the distance ahead.
+    """
+    return max(-adaptive.sample.lead_m - adaptive.kinematics.speed_mps * MAX_LAG_S, 0.0)
+
+
+@jit
+def reset_shadows(shadow: Any, t_ns: Any, z_m: Any) -> None:
+    """Put every shadow axis to rest at a height, at a time."""
+    shadow.t_ns = t_ns
     for i in range(N_MODELS):
         shadow.position_m[i] = z_m
         shadow.velocity_mps[i] = 0.0
 
 
 @jit
-def propagate_shadows(params: Any, adaptive: Any, from_ns: Any, to_ns: Any) -> None:
-    """Propagate every shadow axis with the setpoints of its model.
+def propagate_shadows(params: Any, adaptive: Any, t_ns: Any) -> Any:
+    """Propagate every shadow axis up to a time with the setpoints of its model; 0 when that is not possible.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`shadow` updated)
-    from_ns, to_ns : int64  begin and end of the time; without a positive length nothing moves
+    t_ns : int64  the time; not possible before the time of the axes or that of the oldest setpoints kept
     """
     shadow, controller = adaptive.shadow, adaptive.controller
-    span = to_ns - from_ns
-    if controller.periods == 0 or span <= 0:
-        return
+    from_ns, k = shadow.t_ns, oldest_period(controller)
+    span = t_ns - from_ns
+    if span <= 0:
+        return 0
+    shadow.t_ns = t_ns
+    if controller.periods == 0:
+        return 1
+    if t_ns < controller.latch_ns[k & (N_PERIODS - 1)]:
+        return 0
     if span > MAX_AXIS_GAP_NS:
-        slot = (controller.periods - 1) & (N_PERIODS - 1)
+        slot = period_at(controller, k, t_ns) & (N_PERIODS - 1)
         for i in range(N_MODELS):
             shadow.position_m[i] = shadow.setpoint_m[slot * MAX_MODELS + i]
             shadow.velocity_mps[i] = 0.0
-        return
+        return 1
     steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
     dt = span * 1e-9 / steps
     tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
-    k = oldest_period(controller)
     for j in range(steps):
         k = period_at(controller, k, from_ns + (span * j) // steps)
         first = (k & (N_PERIODS - 1)) * MAX_MODELS
@@ -60,6 +84,7 @@ def propagate_shadows(params: Any, adaptive: Any, from_ns: Any, to_ns: Any) -> N
             shadow.position_m[i], shadow.velocity_mps[i] = step_axis(
                 tau, v_max, a_max, shadow.position_m[i], shadow.velocity_mps[i], target, dt
             )
+    return 1
 
 
 @jit

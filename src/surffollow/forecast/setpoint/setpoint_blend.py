@@ -11,7 +11,7 @@ from surffollow.forecast.estimation.model_bank import (
     model_height,
 )
 from surffollow.forecast.plant.controller_clock import begin_period
-from surffollow.forecast.plant.shadow_axes import record_setpoints
+from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.measurement import has_turned_back
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
@@ -113,6 +113,11 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     else:
         blend.tracked_m = z
     if due:
+        left_out_m = uncompared_m(adaptive)
+        if left_out_m > 0.0:
+            compute_setpoints(
+                adaptive, max(ahead_m - left_out_m, 0.0), lead_length_m, max_slope, standoff_m
+            )
         record_setpoints(adaptive)
         begin_period(adaptive.controller, clock.now_ns)
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, rate_mps, clock.now_ns
