@@ -115,9 +115,7 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     if due:
         left_out_m = uncompared_m(adaptive)
         if left_out_m > 0.0:
-            compute_setpoints(
-                adaptive, max(ahead_m - left_out_m, 0.0), lead_length_m, max_slope, standoff_m
-            )
+            compute_setpoints(adaptive, max(ahead_m - left_out_m, 0.0), lead_length_m, max_slope, standoff_m)
         record_setpoints(adaptive)
         begin_period(adaptive.controller, clock.now_ns)
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, rate_mps, clock.now_ns
