@@ -135,6 +135,33 @@ def test_a_slow_sensor_follows_a_steep_slope(name, seed):
     assert job.clearances_m(job.follower(), seed).min() > plain - 0.2 * job.standoff_m
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("sensor_hz", "speed_mps", "slope"), [(20, 0.3, 0.2), (20, 0.45, 0.2), (10, 0.3, 0.1), (10, 0.3, 0.2)]
+)
+def test_level_ground_that_begins_to_rise_under_a_slow_sensor(sensor_hz, speed_mps, slope, seed):
+    """GIVEN small waves WHEN a slope begins between two readings THEN the tool rises with the first of them.
+
+    Samples outside the gate wait for a second one. Until then the tool rises, but the estimate does not.
+    """
+    job = Job(sensor_hz=sensor_hz, speed_mps=speed_mps)
+    places = way_m((speed_mps, speed_mps), 1.0, seconds=3.5)
+    heights = 1e-3 * np.sin(40.0 * places + seed) + slope * np.maximum(places - 2.0 * speed_mps, 0.0)
+    plain, own = (clearances_m(job, f, seed, places, heights).min() for f in (None, job.follower()))
+    print(f"least clearance {1e3 * own:.1f} mm, P loop {1e3 * plain:.1f} mm")
+    assert own > plain - 0.05 * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_single_reading_that_no_ground_explains_does_not_raise_the_tool(seed):
+    """GIVEN a sensor of 20 Hz at 0.1 m/s WHEN one reading is 20 mm too near THEN the tool stays."""
+    job = Job(sensor_hz=20)
+    found = job.clearances_m(
+        job.follower(), seed, misread=lambda t, read, rng: read - 0.02 * (2.49 < t < 2.51)
+    )
+    assert np.abs(found[2000:] - job.standoff_m).max() < 1e-3
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
     ("mount_m", "sensor_hz", "speed_mps", "slope"),

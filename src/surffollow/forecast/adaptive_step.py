@@ -11,6 +11,7 @@ from typing import Any
 from surffollow.forecast.attitude.attitude import demand_rotation, publish_normal, release_attitude
 from surffollow.forecast.estimation.adaptation import publish_adaptation
 from surffollow.forecast.estimation.estimate import INITIALISATION_SAMPLES
+from surffollow.forecast.estimation.innovation_gate import raised_by_withheld
 from surffollow.forecast.fold_back import PROBE_M, limit
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.plant.controller_clock import (
@@ -248,7 +249,7 @@ def compute_demand(
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     if estimate.samples < INITIALISATION_SAMPLES or few:
         target = max(target, tool_z)  # no descent over ground that is hardly known
-    target = raised_target(adaptive.response, target)
+    target = raised_target(adaptive.response, raised_by_withheld(adaptive, target, standoff))
     if stuck != 0:  # ground that is not seen may rise as steeply as it did before
         rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
         target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)

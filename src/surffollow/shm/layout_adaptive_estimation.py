@@ -32,6 +32,7 @@ class Gate(Schema):
     kept_arc_length_m = F64(PENDING_HEIGHTS, unit="m", doc="ring of the pending samples' arc lengths")
     kept_height_m = F64(PENDING_HEIGHTS, unit="m", doc="and heights")
     unconfirmed_m = F64(unit="m", doc="innovation held back for a second sample; 0: none")
+    withheld_m = F64(unit="m", doc="innovation of a nearer sample that waits for a second one; 0: none")
     rejected = I64(doc="outliers in a row that did not agree with the one before")
     slot_likelihood = F64(
         doc="likelihood that a hollow is a slot: 1 not known, toward 0 by steps that stayed"

@@ -16,6 +16,7 @@ from surffollow.forecast.estimation.innovation_gate import (
     reset_gate,
     update_scale,
     update_travel,
+    withhold_sample,
 )
 from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
@@ -60,7 +61,7 @@ AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well repl
 INITIAL_SETTLING_NS, SETTLING_NS = 60_000_000, 150_000_000
 GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
 PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
-INITIAL_PLAUSIBLE_SLOPE = 1.0  # the same while the slope is not known
+INITIAL_PLAUSIBLE_SLOPE = 1.0  # the same while the slope is not known, and for nearer samples on their own
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
@@ -248,6 +249,7 @@ def update_estimate(
     if not sparse and needs_second_sample(adaptive, innovation, width) != 0:
         if adapt != 0 and estimate.samples > 1:
             update_scale(gate, innovation, width)  # frequent ones mean rough ground
+        withhold_sample(gate, innovation, INITIAL_PLAUSIBLE_SLOPE * travel)
         return 0
     if (
         estimate.samples == 1
@@ -258,6 +260,7 @@ def update_estimate(
         return 1
     if abs(innovation) > width:
         if hold_pending(params, adaptive, innovation, travel, width, gap) == 0:
+            withhold_sample(gate, innovation, INITIAL_PLAUSIBLE_SLOPE * travel)
             return 0
         if gate.pending > estimate.samples:
             restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)

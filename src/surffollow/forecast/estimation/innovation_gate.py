@@ -16,7 +16,8 @@ SCALE_RATE = 0.02  # of the usual innovation, per sample
 PERMANENT_STEPS = 0.2  # likelihood of slots below which two samples confirm a step
 SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # factor per step that stays; least value
 STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need no travel
-# two samples confirm a step where more of them take longer than so many time constants of the axis
+# two samples confirm a step where more of them take longer than so many time constants of the axis; where
+# the interval is longer than that, the tool rises before the second one
 CONFIRMATION_TAUS = 0.5
 BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted
@@ -103,6 +104,29 @@ def needs_second_sample(adaptive: Any, innovation_m: Any, gate_m: Any) -> Any:
 
 
 @jit
+def withhold_sample(gate: Any, innovation_m: Any, plausible_m: Any) -> None:
+    """Note how much nearer a sample is that waits for a second one; 0 where ground cannot rise like that."""
+    gate.withheld_m = innovation_m if 0.0 < innovation_m < plausible_m else 0.0
+
+
+@jit
+def raised_by_withheld(adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
+    """Setpoint, raised for a nearer sample of a slow sensor that waits for a second one [m].
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState`
+    target_m : float64    the setpoint [m]
+    standoff_m : float64  desired height of the tool above the ground [m]
+    """
+    gate = adaptive.gate
+    slow = adaptive.prediction.interval_s > CONFIRMATION_TAUS * adaptive.plant.tau_s
+    if gate.withheld_m == 0.0 or not slow:
+        return target_m
+    return max(target_m, adaptive.estimate.height_m + gate.withheld_m + standoff_m)
+
+
+@jit
 def gate_width(params: Any, gate: Any) -> Any:
     """Width of the gate [m]."""
     return max(params.gate_scales * gate.scale_m, params.gate_m)
@@ -125,6 +149,7 @@ def accept_sample(params: Any, gate: Any) -> None:
     if gate.pending >= params.step_samples:
         gate.slot_likelihood = 1.0
     gate.pending = gate.rejected = 0
+    gate.withheld_m = 0.0
 
 
 @jit
@@ -143,6 +168,7 @@ def register_step(params: Any, gate: Any, t_ns: Any) -> None:
     gate.step_m = 0.0 if began_in_slot else gate.pending_innovation_m / n
     gate.step_ns = t_ns
     gate.pending = gate.rejected = 0
+    gate.withheld_m = 0.0
 
 
 @jit
@@ -156,7 +182,7 @@ def initialise_gate(gate: Any) -> None:
 def reset_gate(gate: Any) -> None:
     """Drop pending samples and the last step; scale and likelihood of slots stay."""
     gate.pending = gate.rejected = 0
-    gate.unconfirmed_m = 0.0
+    gate.unconfirmed_m = gate.withheld_m = 0.0
     gate.travel_since_step_m = gate.step_m = 0.0
     gate.step_ns = 0
 
@@ -165,6 +191,7 @@ def reset_gate(gate: Any) -> None:
 def drop_pending(gate: Any) -> None:
     """Drop the pending samples."""
     gate.pending = 0
+    gate.withheld_m = 0.0
 
 
 @jit
@@ -176,6 +203,6 @@ def discard_slots(gate: Any) -> None:
 @jit
 def discard_gate(gate: Any) -> None:
     """Mark everything as not known."""
-    gate.pending = 0
+    drop_pending(gate)
     gate.slot_likelihood = 0.0
     gate.scale_m = 0.0
