@@ -118,14 +118,16 @@ def test_a_live_sensor_on_a_long_ramp_is_not_called_stuck():
         assert "STUCK" not in state["faults"]
 
 
-def test_timestamps_that_go_back_are_corrected_and_reported():
+@pytest.mark.parametrize("mounts", [LEADING[:1], LEADING, KINDS["one of four"].mounts_m])
+def test_timestamps_that_go_back_are_corrected_and_reported(mounts):
     # GIVEN a tool that climbs at 20 mm/s over level ground while its sensor stamps 100 ms too early
     def z(t):
         return STANDOFF_M + 0.02e-3 * t
 
-    f = follower()
+    f = follower(mounts)
     n = 400
-    readings = [z(4 * k - 30) + 1e-4 * e for k, e in enumerate(np.random.default_rng(5).standard_normal(n))]
+    noise = 1e-4 * np.random.default_rng(5).standard_normal((n, len(mounts)))
+    readings = [z(4 * k - 30) + e for k, e in enumerate(noise)]
     wrong = range(1000, 1300)
     seen = []
     states = drive(f, readings, z_m=z, stamp_ms=lambda t: t - 100 if t in wrong else t)

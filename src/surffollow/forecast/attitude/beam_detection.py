@@ -78,7 +78,7 @@ def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             continue
-        t_ns, range_m = sense.range_t_ns[c], sense.range_m[c]
+        t_ns, range_m = sense.range_t_ns[c] + adaptive.hold.shift_ns, sense.range_m[c]
         predict_pose(adaptive.kinematics, sense, t_ns, pose)
         x, y, z, _ = footprint(pose, params.tool_from_sensor, c, range_m)
         beams.footprint_m[3 * c], beams.footprint_m[3 * c + 1], beams.footprint_m[3 * c + 2] = x, y, z

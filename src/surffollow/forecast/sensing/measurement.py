@@ -27,7 +27,7 @@ from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, pred
 from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.response import is_unresponsive, observe_response
-from surffollow.forecast.sensing.sample_hold import new_sample, record_sample
+from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
 from surffollow.forecast.terrain.lookahead_sensor import compare_lookahead
 from surffollow.forecast.terrain.preview import compare_map, monitor_error, withdraw_preview
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
@@ -97,6 +97,8 @@ def process_sample(
     estimate, beams = adaptive.estimate, adaptive.beams
     channel = 0
     if orients != 0:
+        if inputs.n_ranges > 0 and sense.fresh[beams.reference] != 0:
+            observe_timestamp(adaptive, sense.range_t_ns[beams.reference])
         channel = observe_beams(params, adaptive, sense, pose)
     else:
         output.fresh &= ~1

@@ -50,7 +50,9 @@ def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channe
         begun_ns = params.sensor_latency_ns - hold_ns // 2
         hold_ns += hold_ns // 2  # the begin of a held value is known to within a cycle
     if orients == 0 and sense.fresh[channel] != 0:
-        t = correct_timestamp(adaptive, t)
+        observe_timestamp(adaptive, t)
+    if sense.fresh[channel] != 0:
+        t += hold.shift_ns
     if hold.t_ns != 0:
         if t <= hold.t_ns:
             return 0, 0.0, 0
@@ -70,8 +72,8 @@ def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channe
 
 
 @jit
-def correct_timestamp(adaptive: Any, t_ns: Any) -> Any:
-    """Timestamp of a fresh sample, corrected when timestamps went back [ns].
+def observe_timestamp(adaptive: Any, t_ns: Any) -> None:
+    """Update the correction of timestamps that went back, with a fresh sample.
 
     Late samples arrive in order. Several in a row whose timestamps lie before that of the newest sample have
     wrong timestamps: they follow each other at the usual interval until their delay is the usual one again.
@@ -87,8 +89,6 @@ def correct_timestamp(adaptive: Any, t_ns: Any) -> Any:
         hold.backward = 0
         if delay_ns >= usual_ns + shift_ns // 2:
             hold.shift_ns = shift_ns
-            t = t_ns + shift_ns
-    return t
 
 
 @jit

@@ -45,7 +45,7 @@ def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose:
     if moving == 0 or estimate.samples == 0:
         return
     for c in range(1, params.n_channels):
-        t = sense.range_t_ns[c]
+        t = sense.range_t_ns[c] + adaptive.hold.shift_ns
         if sense.fresh[c] == 0 or t < lookahead.range_ns[c] + params.hold_ns:
             continue
         lookahead.range_ns[c] = t
