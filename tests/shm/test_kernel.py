@@ -48,13 +48,13 @@ def test_another_process_finds_parts_and_makes_the_whole_of_them(tmp_path: Path)
     assert compiled_by(PART, tmp_path) == ["count_duration", "histogram_bin"]  # "count" is pasted
     assert compiled_by(PART, tmp_path) == []
     assert compiled_by(WHOLE, tmp_path) == []
-    wholes = [f.name for f in tmp_path.rglob("*.nbc") if not f.name.startswith("part-")]
+    wholes = [f.name for f in tmp_path.rglob("*.whole-*")]
     assert len(wholes) == 1, "machine code of what Python called alone"
 
 
 def test_a_part_that_is_lost_is_compiled_again_with_its_callers(tmp_path: Path) -> None:
     compiled_by(PART, tmp_path)
-    (lost,) = tmp_path.rglob("part-cycle.histogram_bin*.nbc")
+    (lost,) = tmp_path.rglob("cycle.histogram_bin.*.part-*")
     lost.unlink()
     assert compiled_by(WHOLE, tmp_path) == ["count_duration", "histogram_bin"]
 
