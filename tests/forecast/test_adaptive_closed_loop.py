@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,33 +39,64 @@ class Job:
             {"sensors": [{"near_m": near, "far_m": far}], "plant": plant}, offset_m=self.standoff_m
         )
 
-    def ground_m(self, t_s: float) -> float:
-        return self.slope * max(self.speed_mps * t_s - self.flat_m, 0.0)
-
     def clearances_m(self, follower=None, seed=0, misread=None, frame_z_m=None) -> np.ndarray:
-        """Clearance in every millisecond; a plain P loop drives without a follower."""
-        rng = np.random.default_rng(seed)
-        axis = np.array([self.ground_m(0.0) + self.standoff_m, 0.0])
-        target, error, out = axis[0], 0.0, []
-        for ms in range(int(1e3 * self.seconds)):
-            t, now = 1e-3 * ms, (1000 + ms) * MS
-            clearance = axis[0] - self.ground_m(t)
-            out.append(clearance)
-            off = frame_z_m(t) if frame_z_m else 0.0
-            if ms % 10 == 0 and follower:
-                follower.pose(now, (self.speed_mps * t, 0.0, axis[0] + off, 0.0, 0.0, 0.0, 1.0))
-            if ms % int(1e3 / self.sensor_hz) == 0:
-                read = clearance + self.sigma_m * rng.standard_normal()
-                read = misread(t, read, rng) if misread else read
-                if follower:
-                    follower.step(now, [read])
-                elif self.window_m[0] < read < self.window_m[1]:
-                    error = read - self.standoff_m
-            if ms % 10 == 0:
-                demand = follower.step(now, [math.nan])[2] if follower else -P_GAIN * error
-                target = axis[0] + demand
-            axis_step(axis, target, self.tau_s, self.v_max_mps, self.a_max_mps2, 1e-3)
-        return np.array(out)
+        """As `clearances_m` below, at constant speed over the slope."""
+        places_m = self.speed_mps * 1e-3 * np.arange(int(1e3 * self.seconds))
+        heights_m = self.slope * np.maximum(places_m - self.flat_m, 0.0)
+        return clearances_m(self, follower, seed, places_m, heights_m, misread=misread, frame_z_m=frame_z_m)
+
+
+def clearances_m(
+    job,
+    follower,
+    seed,
+    places_m,
+    heights_m,
+    *,
+    pose_ms=10,
+    pose_late_ms=0,
+    range_late_ms=0,
+    range_age_ms=0,
+    misread=None,
+    frame_z_m=None,
+    settings=None,
+) -> np.ndarray:
+    """Clearance in every millisecond; a plain P loop drives without a follower.
+
+    `places_m` of the tool and `heights_m` of the ground under it are per millisecond. `settings` are
+    parameters by the millisecond at which they are set. A range arrives after `range_late_ms`. Its timestamp
+    hides `range_age_ms` of them. The controller takes a demand when it reports a pose.
+    """
+    rng = np.random.default_rng(seed)
+    axis = np.array([heights_m[0] + job.standoff_m, 0.0])
+    target = reported = axis[0]
+    reports, ranges, error, out = deque(), deque(), 0.0, []
+    for ms, (x, ground) in enumerate(zip(places_m, heights_m, strict=True)):
+        t, clearance = 1e-3 * ms, axis[0] - ground
+        out.append(clearance)
+        if settings and ms in settings:
+            follower.set_params(**settings[ms])
+        if ms % pose_ms == 0:
+            reports.append((ms, x, axis[0], frame_z_m(t) if frame_z_m else 0.0))
+        if reports and reports[0][0] + pose_late_ms <= ms:
+            at, was, reported, off = reports.popleft()
+            if follower:
+                follower.pose((1000 + at) * MS, (was, 0.0, reported + off, 0.0, 0.0, 0.0, 1.0))
+        if ms % int(1e3 / job.sensor_hz) == 0:
+            read = clearance + job.sigma_m * rng.standard_normal()
+            ranges.append((ms, misread(t, read, rng) if misread else read))
+        if ranges and ranges[0][0] + range_late_ms <= ms:
+            at, read = ranges.popleft()
+            if follower:
+                follower.step((1000 + at + range_age_ms) * MS, [read])
+            elif job.window_m[0] < read < job.window_m[1]:
+                error = read - job.standoff_m
+        if ms % pose_ms == 0:
+            target = reported + (
+                follower.step((1000 + ms) * MS, [math.nan])[2] if follower else -P_GAIN * error
+            )
+        axis_step(axis, target, job.tau_s, job.v_max_mps, job.a_max_mps2, 1e-3)
+    return np.array(out)
 
 
 CELL = Job()
@@ -128,3 +160,83 @@ def test_a_constant_range_far_beyond_the_standoff_is_found(size_m, seed):
     )
     # two means of 8 samples at full speed, and the way to stop: 64 ms + τ
     assert found.min() > job.standoff_m - job.v_max_mps * (0.064 + 1.5 * job.tau_s)
+
+
+TORCH = Job(0.004, (0.0005, 0.012), sigma_m=1e-5)
+
+
+def way_m(speeds_mps, acceleration_mps2, seconds=3.0):
+    """Places in every millisecond: the first speed for a second, then toward the second one."""
+    t = 1e-3 * np.arange(int(1e3 * seconds))
+    first, second = speeds_mps
+    gained = np.minimum(acceleration_mps2 * np.maximum(t - 1.0, 0.0), abs(second - first))
+    return np.cumsum(first + math.copysign(1.0, second - first) * gained) * 1e-3
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("job", "speeds", "acceleration", "pose_ms", "loss"),
+    [
+        (TORCH, (0.0, 0.15), 5.0, 10, 0.1),
+        (TORCH, (0.1, -0.1), 5.0, 10, 0.1),
+        (CELL, (0.1, 1.2), 1e6, 20, 0.1),
+        (CELL, (0.25, -0.25), 1e6, 50, 0.1),
+        (CELL, (0.0, 0.4), 5.0, 90, 0.25),  # two reports are taken for jumps: the tool waits 180 ms
+    ],
+)
+def test_a_change_of_speed_is_no_jump_of_the_position(job, speeds, acceleration, pose_ms, loss, seed):
+    """GIVEN ground that rises from here on WHEN the speed changes THEN the demand goes on.
+
+    Each report is farther from the mean velocity than 0.2 of the stand-off then, as after a jump.
+    """
+    places = way_m(speeds, acceleration)
+    rise = 0.1 * np.maximum(math.copysign(1.0, speeds[1]) * (places - places[1000]), 0.0)
+    heights = 0.02 * job.standoff_m * np.sin(3.0 / job.standoff_m * places) + rise
+    plain, own = (
+        clearances_m(job, follower, seed, places, heights, pose_ms=pose_ms, range_late_ms=10).min()
+        for follower in (None, job.follower())
+    )
+    print(f"least clearance {1e3 * own:.2f} mm, P loop {1e3 * plain:.2f} mm")
+    assert own > plain - loss * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("pose_late_ms", [0, 5, 10])
+@pytest.mark.parametrize("jump_m", [0.03, 0.15])
+def test_a_jump_of_the_height_that_is_reported_after_readings_from_behind_it(jump_m, pose_late_ms, seed):
+    """GIVEN readings that come before the poses of their time WHEN the frame jumps THEN the tool stays."""
+    places = way_m((0.1, 0.1), 1.0)
+    found = clearances_m(
+        CELL,
+        CELL.follower(),
+        seed,
+        places,
+        0.002 * np.sin(30.0 * places),
+        frame_z_m=lambda t: jump_m if t >= 1.5 else 0.0,
+        pose_late_ms=pose_late_ms,
+    )
+    print(f"least clearance {1e3 * found.min():.2f} mm")
+    assert found.min() > CELL.standoff_m - 0.005
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_latency_that_is_set_while_following_counts(seed):
+    """GIVEN ranges 60 ms old over waves WHEN their latency is set late THEN it counts as from the start."""
+    places = way_m((0.3, 0.3), 1.0, seconds=6.0)
+    worst = []
+    for set_at_ms in (0, 2000):
+        follower = CELL.follower()
+        found = clearances_m(
+            CELL,
+            follower,
+            seed,
+            places,
+            0.01 * np.sin(2.0 * math.pi / 0.25 * places),
+            range_late_ms=60,
+            range_age_ms=60,
+            settings={set_at_ms: {"sensor_latency": "60 ms"}},
+        )
+        assert follower.state()["health"] == "OK"
+        worst.append(np.abs(found[4000:] - CELL.standoff_m).max())
+    print(f"greatest error {1e3 * worst[1]:.2f} mm, set from the start {1e3 * worst[0]:.2f} mm")
+    assert worst[1] < 1.5 * worst[0]

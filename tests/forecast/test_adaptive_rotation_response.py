@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from forecast.driving import default_params
 from surffollow import Follower
 from surffollow.benchmark.hazard_ground import quaternion
 from surffollow.benchmark.hazard_scenarios import FAR_M, FOUR, NEAR_M, STANDOFF_M
 from surffollow.forecast.attitude import rotation_response
+from surffollow.forecast.attitude.attitude import demand_rotation
 from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
@@ -18,7 +20,7 @@ from surffollow.shm.layout_adaptive_sensing import (
     ROTATION_PROBE,
     ROTATION_RUN,
 )
-from surffollow.shm.layout_follow import Params
+from surffollow.shm.layout_follow import Output, Params, SenseState
 
 MS = 1_000_000
 TAU_S, SIGMA_M = 0.06, 0.25e-3
@@ -185,3 +187,18 @@ def test_a_tool_whose_sensors_are_all_stuck_does_not_rotate():
             stuck += 1
             assert (np.array(demand[3:]) == 0.0).all()
     assert stuck > 50
+
+
+@pytest.mark.parametrize(("inconsistent", "turns"), [(0, True), (1, False)])
+def test_inconsistent_beams_hold_the_direction(inconsistent, turns):
+    """GIVEN a plane of before that is steep WHEN the beams are inconsistent THEN it is no target."""
+    params, a = default_params(orient=1)[0], zeros(AdaptiveState)[0]
+    sense, output = zeros(SenseState)[0], zeros(Output)[0]
+    a["plane"]["slope_x"], a["plane"]["count"] = -0.9, 9
+    a["beams"]["inconsistent"] = inconsistent
+    sense["pose_count"], sense["pose"][6] = 1, 1.0
+    for ms in range(0, 200, 10):
+        a["clock"]["now_ns"] = (1000 + ms) * MS
+        demand_rotation(params, a, sense, output)
+    assert (np.linalg.norm(output["demand"][3:]) > 0.05) == turns
+    assert turns or not output["demand"][3:].any()

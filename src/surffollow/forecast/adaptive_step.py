@@ -92,8 +92,6 @@ def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any
         return 0.0
     gap_x, gap_y = pose[0] + sample.tip_x_m - sample.x_m, pose[1] + sample.tip_y_m - sample.y_m
     gap = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
-    if adaptive.hold.t_ns < kinematics.jump_ns:  # the footprint is in the frame before the jump
-        gap = kinematics.speed_mps**2 * (pose_t_ns - adaptive.hold.t_ns) * 1e-9
     delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + mean_wait_s(params, adaptive.controller)
     return gap / kinematics.speed_mps + kinematics.speed_mps * delay_s
 
@@ -212,7 +210,8 @@ def compute_demand(
     orients = 1 if params.orient != 0 and params.n_channels >= 3 else 0
     if update_clock(clock, inputs.t_ns, pose_t_ns) != 0:
         reset_timestamps(adaptive)
-    update_kinematics(params, kinematics, sense)
+    if update_kinematics(params, kinematics, sense) != 0:
+        release_setpoint(setpoint)  # it is in the frame before the jump
     update_plant(params, adaptive, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
     process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if orients == 0 and params.n_channels > 1:
@@ -253,8 +252,7 @@ def compute_demand(
     if stuck != 0:  # ground that is not seen may rise as steeply as it did before
         rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
         target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
-    if estimate.accepted_ns < kinematics.jump_ns <= clock.now_ns:
-        release_setpoint(setpoint)
+    if estimate.frame < kinematics.jump_pose and kinematics.jump_ns <= clock.now_ns:
         target = tool_z  # heights are in the frame before the jump
     limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z

@@ -15,13 +15,13 @@ from surffollow.shm.conversion import (
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import CHANNELS, CONVERSION_WINDOW
 
-ABSENT_TAU = 0.25  # a reading older than this share of τ no longer counts as present; 10 ms at 40 ms
+ABSENT_TAU = 0.25  # a reading older than this share of τ is absent: 10 ms at 40 ms
 SPACING_GROWTH = 8  # a few losses between lone readings do not make a slow sensor
 
 
 @jit_inlined
 def is_absent(params: Any, age_ns: Any) -> Any:
-    """Whether a reading of this age no longer counts as present, whatever the cycle rate."""
+    """Whether a reading of this age is absent, at any cycle rate."""
     return age_ns > ABSENT_TAU * 1e9 * params.plant_tau_s
 
 

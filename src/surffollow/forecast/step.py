@@ -25,6 +25,7 @@ from surffollow.forecast.reference_scales import (
 from surffollow.forecast.reset import reset_surface
 from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing.latency_identification import check_configured_latency
+from surffollow.forecast.sensing.sample_hold import reset_hold
 from surffollow.forecast.stop import apply_stop
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import (
@@ -92,8 +93,7 @@ def reset_stop(params: Any, state: Any) -> None:
 def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: Any) -> Any:
     """Target points of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
 
-    The mean over `ee_readings` points replaces
-    each footprint (§3.2.1), see `average_point`.
+    The mean over `ee_readings` points replaces each footprint (§3.2.1), see `average_point`.
 
     Parameters
     ----------
@@ -208,7 +208,8 @@ def adaptive_cycle(
     int
         Status bits.
     """
-    check_configured_latency(params, adaptive.latency)
+    if check_configured_latency(params, adaptive.latency) != 0:
+        reset_hold(adaptive.hold)
     status = 0
     if ready != 0:
         status = compute_demand(params, adaptive, sense, fold, inputs, output, pose)
@@ -248,8 +249,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
 
     Notes
     -----
-    No clock, no allocation, no exception; the same inputs give the same bits everywhere.
-    Paper §3.3.3; safety per docs/reference/protocol.md.
+    No clock, allocation or exception; the same inputs give the same bits. Paper §3.3.3.
     """
     p, s, i, o = params[0], state[0], inputs[0], output[0]
     take_poses(s.sense, i)

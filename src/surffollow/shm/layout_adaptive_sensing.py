@@ -27,7 +27,7 @@ class Kinematics(Schema):
     climb_mps = F64(unit="m/s", doc="vertical velocity")
     jump_pose = I64(doc="first report after the newest jump of the reported position")
     jump_ns = I64(unit="ns", doc="its timestamp; 0: none")
-    climb_jump_ns = I64(unit="ns", doc="timestamp of the newest jump of the height; 0: none")
+    climb_jump_pose = I64(doc="first report after the newest jump of the height")
 
 
 class Hold(Schema):

@@ -92,6 +92,8 @@ def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None
     if elapsed > 0:
         nx, ny, nz = predicted_normal(params, adaptive)
         nx, ny, nz = tested_direction(adaptive.rotation, nx, ny, nz)
+        if adaptive.beams.inconsistent != 0:  # the plane may be of the wrong ones
+            nx, ny, nz = attitude.axis[0], attitude.axis[1], attitude.axis[2]
         limit_attitude(params, attitude, nx, ny, nz, elapsed * 1e-9)
     attitude.t_ns = clock.now_ns
     u = attitude.axis

@@ -87,6 +87,15 @@ def blend_models(adaptive: Any) -> None:
 
 
 @jit
+def note_accepted(adaptive: Any, t_ns: Any) -> None:
+    """Note the time of a sample that enters the estimate, and which jump of the position it is behind."""
+    estimate, kinematics = adaptive.estimate, adaptive.kinematics
+    estimate.accepted_ns = t_ns
+    if t_ns >= kinematics.jump_ns:
+        estimate.frame = kinematics.jump_pose
+
+
+@jit
 def reset_estimate(
     params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
 ) -> None:
@@ -116,7 +125,8 @@ def reset_estimate(
     if fresh or adapt != 0:
         update_weights(params, adaptive, IMMEDIATELY_S)
     reset_gate(gate)
-    estimate.sample_ns = estimate.accepted_ns = t_ns
+    estimate.sample_ns = t_ns
+    note_accepted(adaptive, t_ns)
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = t_ns
     estimate.settle_ns = t_ns + (INITIAL_SETTLING_NS if fresh else SETTLING_NS)
@@ -203,11 +213,12 @@ def update_estimate(
     adapt : int              0: index, weights, noise and terrain regression stay as they are
     """
     noise, gate, bank, estimate = adaptive.noise, adaptive.gate, adaptive.bank, adaptive.estimate
+    kinematics = adaptive.kinematics
     dt = (t_ns - estimate.sample_ns) * 1e-9
     if (
         estimate.samples == 0
         or travel_m > MAX_TRAVEL_M
-        or estimate.accepted_ns < adaptive.kinematics.climb_jump_ns <= t_ns
+        or (estimate.frame < kinematics.climb_jump_pose and t_ns >= kinematics.jump_ns)
         or t_ns - estimate.accepted_ns > params.loss_timeout_ns
     ):
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
@@ -264,7 +275,7 @@ def update_estimate(
     if adaptive.weights.scored == 0:
         reset_shadows(adaptive.shadow, estimate.height_m + standoff_m)
     estimate.samples += 1
-    estimate.accepted_ns = t_ns
+    note_accepted(adaptive, t_ns)
     if estimate.samples >= INITIALISATION_SAMPLES:
         estimate.confirmed_ns = t_ns
     store_ground(adaptive, estimate.arc_length_m, h_m)

@@ -36,24 +36,38 @@ def oldest_pose_within(sense: Any, window_ns: Any, first_pose: Any) -> Any:
 
 
 @jit
-def note_jump(params: Any, kinematics: Any, sense: Any) -> None:
-    """Note a jump of the reported position: no tool moves so far between two reports.
+def note_jump(params: Any, kinematics: Any, sense: Any) -> Any:
+    """Note a jump of the reported position, no report of which continues; 1 when there is one.
 
-    A vertical jump is also more than the axis can change its way in that time: 2 · v_max · Δt.
+    A lateral jump disagrees with the velocity and with the way between the two reports before: a change of
+    speed agrees with the latter from its second report on. A vertical jump disagrees with the velocity by
+    more than the axis can change its way in that time, 2 · v_max · Δt.
     """
     n = sense.pose_count
     last, previous = (n - 1) & (POSES - 1), (n - 2) & (POSES - 1)
     span_ns = sense.pose_t_ns[last] - sense.pose_t_ns[previous]
     if not 0 < span_ns <= MAX_JUMP_INTERVAL_NS:
-        return
-    dx = sense.pose[7 * last] - sense.pose[7 * previous] - kinematics.velocity_x_mps * span_ns * 1e-9
-    dy = sense.pose[7 * last + 1] - sense.pose[7 * previous + 1] - kinematics.velocity_y_mps * span_ns * 1e-9
-    dz = sense.pose[7 * last + 2] - sense.pose[7 * previous + 2] - kinematics.climb_mps * span_ns * 1e-9
-    climbed = abs(dz) > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * span_ns * 1e-9)
-    if climbed or dx * dx + dy * dy > MAX_JUMP_M * MAX_JUMP_M:
-        kinematics.jump_pose, kinematics.jump_ns = n - 1, sense.pose_t_ns[last]
-        if climbed:
-            kinematics.climb_jump_ns = kinematics.jump_ns
+        return 0
+    dt = span_ns * 1e-9
+    way_x = sense.pose[7 * last] - sense.pose[7 * previous]
+    way_y = sense.pose[7 * last + 1] - sense.pose[7 * previous + 1]
+    dx, dy = way_x - kinematics.velocity_x_mps * dt, way_y - kinematics.velocity_y_mps * dt
+    square = dx * dx + dy * dy
+    before = (n - 3) & (POSES - 1)
+    span_before_ns = sense.pose_t_ns[previous] - sense.pose_t_ns[before] if n > 2 else 0
+    if 0 < span_before_ns <= MAX_JUMP_INTERVAL_NS:
+        ratio = span_ns / span_before_ns
+        dx = way_x - ratio * (sense.pose[7 * previous] - sense.pose[7 * before])
+        dy = way_y - ratio * (sense.pose[7 * previous + 1] - sense.pose[7 * before + 1])
+        square = min(square, dx * dx + dy * dy)
+    dz = sense.pose[7 * last + 2] - sense.pose[7 * previous + 2] - kinematics.climb_mps * dt
+    climbed = abs(dz) > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * dt)
+    if not climbed and square <= MAX_JUMP_M * MAX_JUMP_M:
+        return 0
+    kinematics.jump_pose, kinematics.jump_ns = n - 1, sense.pose_t_ns[last]
+    if climbed:
+        kinematics.climb_jump_pose = kinematics.jump_pose
+    return 1
 
 
 @jit
@@ -63,27 +77,27 @@ def has_jumped(kinematics: Any, now_ns: Any) -> Any:
 
 
 @jit
-def update_kinematics(params: Any, kinematics: Any, sense: Any) -> None:
-    """Lateral and vertical velocity of the tool from its reports; 0 with a single report."""
+def update_kinematics(params: Any, kinematics: Any, sense: Any) -> Any:
+    """Lateral and vertical velocity of the tool from its reports, 0 with one; returns 1 after a new jump."""
     if kinematics.pose_count == sense.pose_count:
-        return
-    if kinematics.pose_count > 0:
-        note_jump(params, kinematics, sense)
+        return 0
+    jumped = note_jump(params, kinematics, sense) if kinematics.pose_count > 0 else 0
     kinematics.pose_count = sense.pose_count
     last, jump = (sense.pose_count - 1) & (POSES - 1), kinematics.jump_pose
     first = oldest_pose_within(sense, SPEED_WINDOW_NS, jump)
     near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump)
     if first == last and sense.pose_count - 1 == jump and jump > 0:
-        return  # the velocity is that before the jump
+        return jumped  # the velocity is that before the jump
     kinematics.velocity_x_mps = kinematics.velocity_y_mps = kinematics.speed_mps = kinematics.climb_mps = 0.0
     if first == last:
-        return
+        return jumped
     dt = (sense.pose_t_ns[last] - sense.pose_t_ns[first]) * 1e-9
     kinematics.velocity_x_mps = (sense.pose[7 * last] - sense.pose[7 * first]) / dt
     kinematics.velocity_y_mps = (sense.pose[7 * last + 1] - sense.pose[7 * first + 1]) / dt
     kinematics.speed_mps = math.sqrt(kinematics.velocity_x_mps**2 + kinematics.velocity_y_mps**2)
     dt = (sense.pose_t_ns[last] - sense.pose_t_ns[near]) * 1e-9
     kinematics.climb_mps = (sense.pose[7 * last + 2] - sense.pose[7 * near + 2]) / dt
+    return jumped
 
 
 @jit

@@ -55,12 +55,14 @@ def reset_delay(latency: Any) -> None:
 
 
 @jit
-def check_configured_latency(params: Any, latency: Any) -> None:
-    """Discard the correction when another latency is configured."""
-    if latency.configured_ns != params.sensor_latency_ns:
-        latency.configured_ns = params.sensor_latency_ns
-        latency.correction_s = latency.sigma_s = 0.0
-        reset_window(latency)
+def check_configured_latency(params: Any, latency: Any) -> Any:
+    """Discard the correction when another latency is configured; 1 then: timestamps go back or on."""
+    if latency.configured_ns == params.sensor_latency_ns:
+        return 0
+    latency.configured_ns = params.sensor_latency_ns
+    latency.correction_s = latency.sigma_s = 0.0
+    reset_window(latency)
+    return 1
 
 
 @jit
