@@ -12,7 +12,7 @@ import sys
 from functools import cached_property
 from typing import Any
 
-from numba.core import compiler, event, funcdesc, sigutils, types, typing
+from numba.core import compiler, event, funcdesc, sigutils, typing
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import UnsupportedError
 from numba.core.registry import CPUDispatcher
@@ -23,10 +23,6 @@ from surffollow.shm.kernel_library import PartLibrary, WholeLibrary
 from surffollow.shm.kernel_tag import HERE, tag_of
 from surffollow.shm.source_stamp import path_in_package
 from surffollow.shm.typing_memory import remembered
-
-_RECURSION = (
-    "calls itself through another kernel or with other types: write a loop, or one kernel of one type"
-)
 
 
 class _Types(tuple[Any, ...]):
@@ -107,13 +103,13 @@ class Kernel(CPUDispatcher):
 
     def part(self, args: tuple[Any, ...]) -> Any:
         """The result of compiling this kernel for arguments of these types, without machine code."""
-        with global_compiler_lock, self._compiling_counter:
+        with global_compiler_lock:
             if args in self._parts:
                 return self._parts[args]
             if inspect.isgeneratorfunction(self.py_func):
-                raise UnsupportedError(f"kernel {self.name} is a generator: return an array instead")
+                raise UnsupportedError(f"kernel {self.name} is a generator: fill an array instead")
             if self._compiling:
-                raise UnsupportedError(f"kernel {self.name} {_RECURSION}")
+                raise UnsupportedError(f"kernel {self.name} calls itself, directly or not: write a loop")
             tag = self._tag(args)
             part = self.load_part(tag)
             if part is None:
@@ -156,9 +152,6 @@ class Kernel(CPUDispatcher):
         )
         if result.typing_error is not None:
             raise result.typing_error
-        for called in result.fndesc.typemap.values():
-            if isinstance(called, types.RecursiveCall) and called.dispatcher_type.dispatcher is not self:
-                raise UnsupportedError(f"kernel {called.dispatcher_type.dispatcher.name} {_RECURSION}")
         library._ensure_finalized()
         initialise = [*library.initialisers | dict.fromkeys(result.reload_init)]
         result.fndesc.typemap = result.fndesc.calltypes = None  # large, and not needed again
@@ -185,7 +178,7 @@ class Kernel(CPUDispatcher):
 
     def load_part(self, tag: str) -> Any:
         """The part of this tag from memory or disk; None when it, or one that it calls, is in neither."""
-        if tag in self._parts or tag.startswith(HERE) or not self.is_kept():
+        if tag in self._parts or tag.startswith(HERE):
             return self._parts.get(tag)
         self.targetctx.refresh()
         kept = self._kept.load("part", tag)

@@ -31,8 +31,11 @@ from numba.core.registry import cpu_target
 from surffollow.shm.cache_directory import cache_directory, make_private
 from surffollow.shm.source_stamp import PACKAGE, path_in_package, source_stamp
 
-# what numba takes from its environment and compiles into a kernel, processor and features aside
-OPTIONS = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
+# settings of numba's that are compiled into a kernel; processor and features are told apart by numba
+OPTIONS = (
+    *("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "EXTEND_VARIABLE_LIFETIMES", "LOOP_VECTORIZE"),
+    *("SLP_VECTORIZE", "USING_SVML", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS", "NRT_STATS", "DEBUG_NRT"),
+)
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, platform.python_version())
 _SIZE = 16  # of a hash [bytes]
 
@@ -52,7 +55,7 @@ def note_source(py_file: str) -> None:
 
 def compiled_for() -> tuple[str, ...]:
     """Conditions of machine code besides its source: versions, processor, options of the environment."""
-    options = (f"{name}={getattr(config, name, None)}" for name in OPTIONS)
+    options = (f"{name}={getattr(config, name, None)!r}" for name in OPTIONS)  # "max" is an int of text 3
     return (*_VERSIONS, *cpu_target.target_context.codegen().magic_tuple(), *options)
 
 

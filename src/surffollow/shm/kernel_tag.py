@@ -13,9 +13,9 @@ import enum
 import hashlib
 import marshal
 import sys
+from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numba.core import types
@@ -39,8 +39,13 @@ def tag_of(name: str, args: tuple[Any, ...], options: Any, py_func: Any, kept: b
     here = [] if kept else [id(py_func)]
     text = repr((name, [_type_text(a, here) for a in args], sorted(map(str, options.items())), here))
     total = hashlib.blake2b(text.encode(), digest_size=12)
-    for digest in _digests(py_func):
+    reached, waiting = {py_func: None}, [py_func]
+    while waiting:
+        digest, referred = _content(waiting.pop())
         total.update(digest)
+        fresh = dict.fromkeys(f for f in referred if f not in reached)
+        reached |= fresh
+        waiting += fresh
     return (HERE if here else "") + total.hexdigest()
 
 
@@ -54,54 +59,31 @@ def _type_text(kind: Any, here: list[int]) -> str:
                 here.append(id(its))
             inner += f" of {its.__module__}.{its.__qualname__}{its._fields}"
         return f"({inner})"
-    plain = isinstance(kind, (types.Omitted, types.Literal)) and isinstance(
-        value := getattr(kind, "value", kind), _PLAIN
-    )
-    if plain:
-        return f"{type(kind).__name__} {type(value).__name__} {value!r}"
-    if not isinstance(kind, _EXACT):
+    if not isinstance(kind, _EXACT) and not isinstance(getattr(kind, "value", kind), _PLAIN):  # an Omitted's
         here.append(id(kind))
     return str(kind)
 
 
 def _is_found(its: Any) -> bool:
-    """Whether a class is found by its name."""
-    found: Any = sys.modules.get(its.__module__)
-    for name in its.__qualname__.split("."):
-        found = getattr(found, name, None)
-    return found is its
+    """Whether a class is found by its name in another process; not in one that runs another script."""
+    found = getattr(sys.modules.get(its.__module__), its.__qualname__, None)
+    return found is its and its.__module__ != "__main__"
 
 
-_known: WeakKeyDictionary[Any, tuple[bytes, tuple[Any, ...]]] = WeakKeyDictionary()
-
-
-def _digests(py_func: Any) -> list[bytes]:
-    """Of a function and of all functions that it refers to, directly or not."""
-    reached: dict[Any, bytes] = {}
-    waiting = [py_func]
-    while waiting:
-        function = waiting.pop()
-        if function not in reached:
-            if function not in _known:
-                _known[function] = _content(function)
-            reached[function], more = _known[function]
-            waiting += more
-    return list(reached.values())
-
-
-def _content(py_func: Any) -> tuple[bytes, tuple[Any, ...]]:
+@cache
+def _content(py_func: Any) -> tuple[bytes, list[Any]]:
     """Hash over the bytecode and the plain values that it refers to; the functions that it refers to."""
     functions: list[Any] = []
     names: list[str] = []
     code = marshal.dumps(_bare(py_func.__code__, names), 2)  # version 2: the same bytes for equal code
-    values = [c.cell_contents for c in py_func.__closure__ or () if not _is_empty(c)]
+    values = [py_func.__defaults__, *(c.cell_contents for c in py_func.__closure__ or ())]
     for name in names:
         value = py_func.__globals__.get(name)
         values.append(value)
         if isinstance(value, ModuleType) and value.__name__.startswith("surffollow"):
             values += [getattr(value, n, None) for n in names]
     text = repr([_value_text(v, functions) for v in values])
-    return hashlib.blake2b(code + text.encode(), digest_size=12).digest(), tuple(functions)
+    return hashlib.blake2b(code + text.encode(), digest_size=12).digest(), functions
 
 
 def _bare(code: CodeType, names: list[str]) -> CodeType:
@@ -111,20 +93,13 @@ def _bare(code: CodeType, names: list[str]) -> CodeType:
     return code.replace(co_filename="", co_firstlineno=1, co_linetable=b"", co_consts=constants)
 
 
-def _is_empty(cell: Any) -> bool:
-    try:
-        return cell.cell_contents is cell
-    except ValueError:
-        return True
-
-
 def _value_text(value: Any, functions: list[Any]) -> str:
     """Text of a plain value; of others their kind, and `functions` gets functions."""
     function = getattr(value, "py_func", value)
     if isinstance(function, FunctionType):
         functions.append(function)
     elif isinstance(value, (tuple, list)):
-        return f"({', '.join(_value_text(v, functions) for v in value)})"
+        return f"{getattr(value, '_fields', '')}({', '.join(_value_text(v, functions) for v in value)})"
     elif isinstance(value, np.ndarray):
         return f"{value.dtype!r} {value.shape} {hashlib.blake2b(value.tobytes()).hexdigest()}"
     elif isinstance(value, enum.EnumMeta):
