@@ -13,6 +13,7 @@ from numba import njit
 
 from surffollow.forecast.pose import pose_at, push_pose
 from surffollow.hw.simulation.counter_noise import hashed_uniform
+from surffollow.shm.cache_directory import cache_directory
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
 from surffollow.shm.kernel import Kernel, types_of
@@ -23,6 +24,7 @@ COUNT = """
 import numpy as np
 from numba.core import event
 from surffollow.shm.kernel import types_of
+from surffollow.service.compile_helper import compile_share
 from surffollow.service.cycle import count_duration
 compiled = []
 class Names(event.Listener):
@@ -149,3 +151,9 @@ def test_another_process_finds_every_kernel_of_the_service() -> None:
     count, *lost = run.stdout.split()
     assert int(count) > 100
     assert lost == [], "their callers are compiled in every process"
+
+
+def test_a_second_process_compiles_no_kernel_of_the_service() -> None:
+    own_cache = Path(cache_directory()).parent
+    compiled_by("compile_share()", own_cache)
+    assert compiled_by("compile_share()", own_cache) == []

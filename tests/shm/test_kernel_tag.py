@@ -102,6 +102,27 @@ def test_a_class_without_a_name_is_known_to_this_process_alone() -> None:
     assert tag_of("kernel", types_of(local(1, 2)), {}, tag_of, True).startswith(HERE)
 
 
+def test_a_class_of_a_script_is_known_to_this_process_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = sys.modules["__main__"]
+    monkeypatch.setattr(script, "Setup", local := setup_class("a b"), raising=False)
+    local.__module__ = "__main__"
+    assert tag_of("kernel", types_of(local(1, 2)), {}, tag_of, True).startswith(HERE)
+
+
+def test_constants_and_defaults_in_memory_change_the_tag() -> None:
+    def tag(constant: Any, default: int = 1) -> str:
+        def kernel(x: int = default) -> Any:
+            return constant, x
+
+        return tag_of("kernel", (), {}, kernel, True)
+
+    one, other = setup_class("near far"), setup_class("far near")
+    constants = [1, 1.0, True, (1,), one(1, 9), other(1, 9), np.zeros(2), np.zeros(2, np.float32)]
+    tags = [*map(tag, constants), tag(1, default=2)]
+    assert len(set(tags)) == len(tags)
+    assert tag(np.zeros(2)) == tags[6]
+
+
 def test_code_of_a_pyc_that_is_not_the_source_is_not_kept_for_the_source(tree: Path) -> None:
     assert run(tree, TWICE) == "4.0"
     constant = tree / "zz_constant.py"
@@ -129,6 +150,12 @@ def test_locators_that_a_user_chose_for_numba_do_not_matter(tree: Path) -> None:
     assert run(tree, TWICE, **chosen) == "4.0"
     (tree / "zz_constant.py").write_text("GAIN = 5.25\n")
     assert run(tree, TWICE, **chosen) == "10.5"
+
+
+def test_the_highest_level_of_optimisation_is_not_level_three(tree: Path) -> None:
+    for level in ("3", "max", "max"):
+        assert run(tree, TWICE, NUMBA_OPT=level) == "4.0"
+    assert len(list(tree.parents[2].rglob("zz_kernel.twice.*.whole-*"))) == 2
 
 
 def strided(a: Any, depth: int) -> Any:
