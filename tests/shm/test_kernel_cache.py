@@ -106,6 +106,8 @@ def test_another_version_of_numpy_compiles_anew(tmp_path: Path, monkeypatch: pyt
     cache(tmp_path).save("part", "int64", b"code")
     monkeypatch.setattr(kernel_cache, "_VERSIONS", ("0", "0", "0", "0"))
     assert cache(tmp_path).load("part", "int64") is None
+    cache(tmp_path).save("part", "int64", b"new code")
+    assert len(os.listdir(tmp_path)) == 1, "what an older version compiled is deleted"
 
 
 def test_a_folder_that_cannot_be_made_or_a_full_disk_costs_the_entry_only(

@@ -17,6 +17,7 @@ from numba.core.errors import UnsupportedError
 
 import surffollow
 from surffollow.service.memory import make_cycle_memory
+from surffollow.shm import jit as jit_module
 from surffollow.shm.jit import jit
 from surffollow.shm.kernel import types_of
 from surffollow.shm.kernel_tag import HERE, tag_of
@@ -123,6 +124,19 @@ def test_constants_and_defaults_in_memory_change_the_tag() -> None:
     assert tag(np.zeros(2)) == tags[6]
 
 
+def test_a_constant_of_an_imported_module_changes_the_tag(monkeypatch: pytest.MonkeyPatch) -> None:
+    def tag() -> str:
+        def kernel() -> int:
+            return jit_module.YOUNG_OBJECTS
+
+        return tag_of("kernel", (), {}, kernel, True)
+
+    before = tag()
+    assert tag() == before
+    monkeypatch.setattr(jit_module, "YOUNG_OBJECTS", 5)
+    assert tag() != before
+
+
 def test_code_of_a_pyc_that_is_not_the_source_is_not_kept_for_the_source(tree: Path) -> None:
     assert run(tree, TWICE) == "4.0"
     constant = tree / "zz_constant.py"
@@ -150,12 +164,6 @@ def test_locators_that_a_user_chose_for_numba_do_not_matter(tree: Path) -> None:
     assert run(tree, TWICE, **chosen) == "4.0"
     (tree / "zz_constant.py").write_text("GAIN = 5.25\n")
     assert run(tree, TWICE, **chosen) == "10.5"
-
-
-def test_the_highest_level_of_optimisation_is_not_level_three(tree: Path) -> None:
-    for level in ("3", "max", "max"):
-        assert run(tree, TWICE, NUMBA_OPT=level) == "4.0"
-    assert len(list(tree.parents[2].rglob("zz_kernel.twice.*.whole-*"))) == 2
 
 
 def strided(a: Any, depth: int) -> Any:

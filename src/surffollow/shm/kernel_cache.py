@@ -54,8 +54,8 @@ def note_source(py_file: str) -> None:
 
 
 def compiled_for() -> tuple[str, ...]:
-    """Conditions of machine code besides its source: versions, processor, options of the environment."""
-    options = (f"{name}={getattr(config, name, None)!r}" for name in OPTIONS)  # "max" is an int of text 3
+    """Conditions of machine code besides its source: versions, processor, settings of numba's."""
+    options = (f"{name}={getattr(config, name, None)}" for name in OPTIONS)
     return (*_VERSIONS, *cpu_target.target_context.codegen().magic_tuple(), *options)
 
 
