@@ -21,18 +21,8 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import os
 import sys
 from typing import TYPE_CHECKING, Any
-
-# read by numba when it is imported: keep kernels where they are found again, see shm/kernel_cache.py
-_LOCATORS = (
-    "surffollow.shm.kernel_cache.KernelCacheLocator,UserProvidedCacheLocator,InTreeCacheLocator,"
-    "UserWideCacheLocator,IPythonCacheLocator"
-)
-os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", _LOCATORS)
-if "numba.core.config" in sys.modules:  # numba came first and has read its environment already
-    sys.modules["numba.core.config"].CACHE_LOCATOR_CLASSES = _LOCATORS  # type: ignore[attr-defined]
 
 if TYPE_CHECKING:
     from surffollow.follower import Follower

@@ -248,7 +248,7 @@ def test_a_compilation_is_left_when_the_service_is_asked_to_end(
     s = make_service()
     # GIVEN a service that compiles its kernels
     process = s.launch(env=os.environ | {"SURFFOLLOW_CACHE_DIR": str(tmp_path / "cold")})
-    until(lambda: list((tmp_path / "cold").rglob("*.nbi")) or process.poll() is not None, "a kernel", READY_S)
+    until(lambda: list((tmp_path / "cold").rglob("*.nbc")) or process.poll() is not None, "a kernel", READY_S)
     caught = Path(f"/proc/{process.pid}/status")
     until(
         lambda: int(caught.read_text().split("SigCgt:")[1].split()[0], 16) >> (signal.SIGTERM - 1) & 1,
@@ -262,6 +262,6 @@ def test_a_compilation_is_left_when_the_service_is_asked_to_end(
     assert "READY" not in reported
     assert process.returncode == 0
     assert not list((tmp_path / "cold").rglob("complete")), "the compilation went on to its end"
-    assert not list((tmp_path / "cold").rglob("cycle.run_cycles*.nbi")), "the cycle was compiled to its end"
+    assert not list((tmp_path / "cold").rglob("cycle.run_cycles.*")), "the cycle was compiled to its end"
     s.process = None
     assert objects_of(s.name) <= {f"{s.name}.map"}

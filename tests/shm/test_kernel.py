@@ -13,6 +13,7 @@ from numba import njit
 
 from surffollow.forecast.pose import pose_at, push_pose
 from surffollow.hw.simulation.counter_noise import hashed_uniform
+from surffollow.shm.cache_directory import cache_directory
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
 from surffollow.shm.kernel import Kernel, types_of
@@ -23,6 +24,7 @@ COUNT = """
 import numpy as np
 from numba.core import event
 from surffollow.shm.kernel import types_of
+from surffollow.service.compile_helper import compile_share
 from surffollow.service.cycle import count_duration
 compiled = []
 class Names(event.Listener):
@@ -48,13 +50,13 @@ def test_another_process_finds_parts_and_makes_the_whole_of_them(tmp_path: Path)
     assert compiled_by(PART, tmp_path) == ["count_duration", "histogram_bin"]  # "count" is pasted
     assert compiled_by(PART, tmp_path) == []
     assert compiled_by(WHOLE, tmp_path) == []
-    wholes = [f.name for f in tmp_path.rglob("*.nbc") if not f.name.startswith("part-")]
+    wholes = [f.name for f in tmp_path.rglob("*.whole-*")]
     assert len(wholes) == 1, "machine code of what Python called alone"
 
 
 def test_a_part_that_is_lost_is_compiled_again_with_its_callers(tmp_path: Path) -> None:
     compiled_by(PART, tmp_path)
-    (lost,) = tmp_path.rglob("part-cycle.histogram_bin*.nbc")
+    (lost,) = tmp_path.rglob("cycle.histogram_bin.*.part-*")
     lost.unlink()
     assert compiled_by(WHOLE, tmp_path) == ["count_duration", "histogram_bin"]
 
@@ -149,3 +151,9 @@ def test_another_process_finds_every_kernel_of_the_service() -> None:
     count, *lost = run.stdout.split()
     assert int(count) > 100
     assert lost == [], "their callers are compiled in every process"
+
+
+def test_a_second_process_compiles_no_kernel_of_the_service() -> None:
+    own_cache = Path(cache_directory()).parent
+    compiled_by("compile_share()", own_cache)
+    assert compiled_by("compile_share()", own_cache) == []

@@ -3,118 +3,128 @@
 from __future__ import annotations
 
 import os
-import pickle
 from pathlib import Path
 
 import pytest
 
 from surffollow.shm import cache_directory as cache_module
 from surffollow.shm import kernel_cache
-from surffollow.shm.kernel_cache import KernelCacheFile
+from surffollow.shm.kernel_cache import KernelCache
 
 STAMP = "a" * 32
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(kernel_cache, "cache_directory", lambda: str(tmp_path))
-    inside = tmp_path / "shm"
-    inside.mkdir()
-    return inside
+def cache(folder: Path, stamp: str = STAMP) -> KernelCache:
+    return KernelCache(folder, "ring.push.py311", stamp)
 
 
-def cache_file(folder: Path, stamp: str = STAMP) -> KernelCacheFile:
-    return KernelCacheFile(str(folder), "ring.push-31.py311", stamp)
+def test_what_was_kept_is_found_again_and_another_signature_is_not(tmp_path: Path) -> None:
+    cache(tmp_path).save("part", "int64", b"code")
+    assert cache(tmp_path).load("part", "int64") == b"code"
+    assert cache(tmp_path).load("part", "float64") is None
+    assert cache(tmp_path).load("whole", "int64") is None
 
 
-def test_numba_keeps_its_files_through_this_one() -> None:
-    from surffollow.shm.ring import ring_length
-
-    assert isinstance(ring_length._cache._cache_file, KernelCacheFile)
-
-
-def test_what_was_kept_is_found_again_and_another_signature_is_not(folder: Path) -> None:
-    cache_file(folder).save("int64", b"code")
-    assert cache_file(folder).load("int64") == b"code"
-    assert cache_file(folder).load("float64") is None
-
-
-def test_processes_that_save_at_once_lose_and_exchange_nothing(folder: Path) -> None:
+def test_processes_that_save_at_once_lose_and_exchange_nothing(tmp_path: Path) -> None:
     keys = [f"signature {n}" for n in range(8)]
     children = []
     for mine in keys:
         pid = os.fork()
         if pid == 0:
             for key in [mine, *keys]:
-                cache_file(folder).save(key, key.encode())
+                cache(tmp_path).save("part", key, key.encode())
             os._exit(0)
         children.append(pid)
     assert [os.waitpid(pid, 0)[1] for pid in children] == [0] * len(keys)
-    assert [cache_file(folder).load(key) for key in keys] == [key.encode() for key in keys]
+    assert [cache(tmp_path).load("part", key) for key in keys] == [key.encode() for key in keys]
 
 
-@pytest.mark.parametrize("step", ["_save_data", "_save_index"])
-def test_a_process_killed_between_its_two_writes_leaves_no_wrong_code(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, step: str
+def test_a_process_killed_while_it_writes_leaves_no_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cache_file(folder).save("old", b"old code")
     pid = os.fork()
     if pid == 0:
-        monkeypatch.setattr(KernelCacheFile, step, lambda *_: os._exit(9))
-        cache_file(folder).save("new", b"new code")
+        monkeypatch.setattr(kernel_cache.os, "replace", lambda *_: os._exit(9))
+        cache(tmp_path).save("part", "new", b"new code")
         os._exit(0)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 9
-    assert cache_file(folder).load("new") is None
-    cache_file(folder).save("other", b"other code")
-    found = [cache_file(folder).load(key) for key in ("old", "new", "other")]
-    assert found == [b"old code", None, b"other code"]
+    assert cache(tmp_path).load("part", "new") is None
 
 
-def test_another_source_never_finds_old_code_and_sweeps_it_away(folder: Path) -> None:
-    cache_file(folder).save("int64", b"yesterday")
-    (folder / "ring.push-31.py311.nbi.tmp.0123").write_bytes(b"of a killed process")
-    changed = cache_file(folder, "b" * 32)
-    assert changed.load("int64") is None
-    changed.save("float64", b"today")
-    assert changed.load("int64") is None
-    assert cache_file(folder).load("int64") is None
-    assert len([f for f in os.listdir(folder) if f.startswith("ring.push")]) == 2, "index and one data file"
+def test_another_source_never_finds_old_code_and_sweeps_it_away(tmp_path: Path) -> None:
+    cache(tmp_path).save("part", "int64", b"yesterday")
+    (tmp_path / "ring.push.py311.0123.of-a-killed-process.tmp").write_bytes(b"x")
+    (tmp_path / "ring.push_all.py311.0123.part-0.nbc").write_bytes(b"of another kernel")
+    changed = cache(tmp_path, "b" * 32)
+    assert changed.load("part", "int64") is None
+    changed.save("part", "float64", b"today")
+    assert cache(tmp_path).load("part", "int64") is None
+    assert len([f for f in os.listdir(tmp_path) if f.startswith("ring.push.")]) == 1
+    assert len(os.listdir(tmp_path)) == 2
 
 
-@pytest.mark.parametrize("which", ["*.nbi", "*.nbc"])
-@pytest.mark.parametrize("rest", [0, 7])
+@pytest.mark.parametrize("rest", [0, 7, 40])
 def test_a_file_cut_by_a_power_failure_is_as_good_as_none_and_is_written_again(
-    folder: Path, which: str, rest: int
+    tmp_path: Path, rest: int
 ) -> None:
-    cache_file(folder).save("int64", b"code")
-    (cut,) = folder.glob(which)
+    cache(tmp_path).save("part", "int64", b"code")
+    (cut,) = tmp_path.glob("*.nbc")
     cut.write_bytes(cut.read_bytes()[:rest])
-    assert cache_file(folder).load("int64") is None
-    cache_file(folder).save("int64", b"code")
-    assert cache_file(folder).load("int64") == b"code"
+    assert cache(tmp_path).load("part", "int64") is None
+    cache(tmp_path).save("part", "int64", b"code")
+    assert cache(tmp_path).load("part", "int64") == b"code"
 
 
-def test_a_folder_that_went_away_or_a_full_disk_costs_the_entry_only(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+def test_every_damaged_byte_is_noticed(tmp_path: Path) -> None:
+    cache(tmp_path).save("part", "int64", b"code")
+    (file,) = tmp_path.glob("*.nbc")
+    good = file.read_bytes()
+    for at in range(len(good)):
+        file.write_bytes(good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :])
+        assert cache(tmp_path).load("part", "int64") is None
+
+
+def test_a_file_under_another_signatures_name_is_not_used(tmp_path: Path) -> None:
+    cache(tmp_path).save("part", "int64", b"code of int64")
+    (one,) = tmp_path.glob("*.nbc")
+    cache(tmp_path).save("part", "float64", b"code of float64")
+    (other,) = set(tmp_path.glob("*.nbc")) - {one}
+    os.replace(other, one)
+    assert cache(tmp_path).load("part", "int64") is None
+
+
+@pytest.mark.parametrize("option", kernel_cache.OPTIONS)
+def test_an_option_of_the_environment_tells_files_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str
+) -> None:
+    cache(tmp_path).save("part", "int64", b"code")
+    monkeypatch.setattr(kernel_cache.config, option, 99)
+    assert cache(tmp_path).load("part", "int64") is None
+
+
+def test_another_version_of_numpy_compiles_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache(tmp_path).save("part", "int64", b"code")
+    monkeypatch.setattr(kernel_cache, "_VERSIONS", ("0", "0", "0", "0"))
+    assert cache(tmp_path).load("part", "int64") is None
+    cache(tmp_path).save("part", "int64", b"new code")
+    assert len(os.listdir(tmp_path)) == 1, "what an older version compiled is deleted"
+
+
+def test_a_folder_that_cannot_be_made_or_a_full_disk_costs_the_entry_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(KernelCacheFile, "_save_data", full)
-        cache_file(folder).save("int64", b"code")
-    assert cache_file(folder).load("int64") is None
-    gone = cache_file(folder / "gone")
-    gone.save("int64", b"code")
-    assert gone.load("int64") is None
-
-
-def test_the_cache_of_others_stays_as_numba_keeps_it(folder: Path, tmp_path_factory) -> None:
-    elsewhere = tmp_path_factory.mktemp("elsewhere")
-    theirs = KernelCacheFile(str(elsewhere), "f-1.py311", 12.5)
-    theirs.save("int64", b"code")
-    assert sorted(f.name for f in elsewhere.iterdir()) == ["f-1.py311.1.nbc", "f-1.py311.nbi"]
-    assert pickle.loads((elsewhere / "f-1.py311.1.nbc").read_bytes()) == b"code"
+        patch.setattr(kernel_cache.os, "replace", full)
+        cache(tmp_path).save("part", "int64", b"code")
+    assert cache(tmp_path).load("part", "int64") is None
+    assert os.listdir(tmp_path) == []
+    (tmp_path / "file").touch()
+    lost = cache(tmp_path / "file" / "below")
+    lost.save("part", "int64", b"code")
+    assert lost.load("part", "int64") is None
 
 
 def test_without_any_writable_place_a_temporary_folder_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -158,9 +158,7 @@ def test_a_cache_with_something_that_others_can_change_below_it_is_passed_over(o
 def test_folders_of_kernels_are_private_whatever_the_umask_is(only: Path) -> None:
     before = os.umask(0)
     try:
-        locator = object.__new__(kernel_cache.KernelCacheLocator)
-        locator._folder = only / "surffollow" / "a" / "b"
-        locator.ensure_cache_path()
+        kernel_cache.KernelCache(only / "surffollow" / "a" / "b", "k", "stamp").save("part", "tag", b"code")
     finally:
         os.umask(before)
     assert stat.S_IMODE((only / "surffollow" / "a" / "b").stat().st_mode) == 0o700

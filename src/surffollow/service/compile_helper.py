@@ -13,7 +13,6 @@ import ctypes
 import fcntl
 import hashlib
 import os
-import platform
 import signal
 import subprocess
 import sys
@@ -21,9 +20,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numba
 import numpy as np
-from llvmlite import binding as llvm
 
 from surffollow.forecast.step import follow_step
 from surffollow.hw.simulation import simulated
@@ -35,6 +32,7 @@ from surffollow.shm import map_layout as ml
 from surffollow.shm.cache_directory import cache_directory
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.kernel import types_of
+from surffollow.shm.kernel_cache import compiled_for
 from surffollow.shm.python_child import module_command
 from surffollow.shm.readable import wait_readable
 from surffollow.shm.source_stamp import source_stamp
@@ -51,8 +49,7 @@ def _marker() -> Path:
 def _stamp() -> str:
     """Changes with the source of the service and with what compiles it."""
     source = source_stamp(Path(__file__).with_name("daemon.py"))
-    parts = (source, numba.__version__, platform.python_version(), llvm.get_host_cpu_name())
-    return hashlib.blake2b(" ".join(parts).encode(), digest_size=16).hexdigest()
+    return hashlib.blake2b(" ".join((source, *compiled_for())).encode(), digest_size=16).hexdigest()
 
 
 def is_cold() -> bool:

@@ -6,20 +6,21 @@ compiled them: a symbol is named by the function, its types and options, where n
 
 from __future__ import annotations
 
-import hashlib
 import importlib
+import inspect
 import sys
 from functools import cached_property
 from typing import Any
 
 from numba.core import compiler, event, funcdesc, sigutils, typing
-from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.errors import UnsupportedError
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.typeof import typeof
 
-from surffollow.shm.kernel_cache import KernelCacheFile, KernelCacheLocator, note_source
+from surffollow.shm.kernel_cache import KernelCache, cache_of, note_source
 from surffollow.shm.kernel_library import PartLibrary, WholeLibrary
+from surffollow.shm.kernel_tag import HERE, tag_of
 from surffollow.shm.source_stamp import path_in_package
 from surffollow.shm.typing_memory import remembered
 
@@ -38,6 +39,12 @@ def types_of(*values: Any) -> tuple[Any, ...]:
     return tuple(map(typeof, values))
 
 
+def _is_keepable(library: PartLibrary, tag: str) -> bool:
+    """Whether a part means the same in another process, with all that it calls."""
+    tags = (tag, *(p.identity[1] for p in library.parts))
+    return not library.has_dynamic_globals and not any(t.startswith(HERE) for t in tags)
+
+
 class Kernel(CPUDispatcher):
     """A function that numba compiles.
 
@@ -54,21 +61,15 @@ class Kernel(CPUDispatcher):
         pipeline_class: Any = compiler.Compiler,
     ) -> None:
         super().__init__(py_func, locals or {}, targetoptions or {}, pipeline_class)
-        del self._cache  # numba's, which keeps nothing
         note_source(py_func.__code__.co_filename)
+        self._compiling = False
         self._parts: dict[Any, Any] = {}  # by their tags, and by the types of their arguments
         self._wholes: dict[Any, Any] = {}  # by the types of their arguments
 
     @cached_property
-    def _cache(self) -> Any:
+    def _kept(self) -> KernelCache:
         """Opened when the kernel is loaded or compiled: a command imports 500 kernels and calls a few."""
-        return FunctionCache(self.py_func)
-
-    @cached_property
-    def _part_file(self) -> KernelCacheFile:
-        whole = self._cache._impl
-        stamp = whole.locator.get_source_stamp()
-        return KernelCacheFile(self._cache.cache_path, f"part-{whole.filename_base}", stamp)
+        return cache_of(self.py_func)
 
     # -- names
 
@@ -80,16 +81,12 @@ class Kernel(CPUDispatcher):
     def is_kept(self) -> bool:
         """Whether another process finds this kernel by its name, and its files by their stamp."""
         module = sys.modules.get(self.py_func.__module__)
-        if getattr(module, self.py_func.__qualname__, None) is not self:
-            return False
-        mine = path_in_package(self.py_func.__code__.co_filename) is not None
-        return mine and isinstance(self._cache._impl.locator, KernelCacheLocator)  # numba before 0.62: not
+        found = getattr(module, self.py_func.__qualname__, None)
+        return found is self and path_in_package(self.py_func.__code__.co_filename) is not None
 
     def _tag(self, args: tuple[Any, ...]) -> str:
         """A name of the part that no other part has, the same in every process."""
-        parts = (self.name, *map(str, args), *map(str, self.targetoptions.items()))
-        text = "\n".join(parts if self.is_kept() else (*parts, str(id(self))))
-        return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+        return tag_of(self.name, args, self.targetoptions, self.py_func, self.is_kept())
 
     def _symbol(self, tag: str, prefix: str = "") -> str:
         return str(funcdesc.default_mangler(prefix + self.name, (), abi_tags=(tag,)))
@@ -106,15 +103,23 @@ class Kernel(CPUDispatcher):
 
     def part(self, args: tuple[Any, ...]) -> Any:
         """The result of compiling this kernel for arguments of these types, without machine code."""
-        with global_compiler_lock, self._compiling_counter:
+        with global_compiler_lock:
             if args in self._parts:
                 return self._parts[args]
+            if inspect.isgeneratorfunction(self.py_func):
+                raise UnsupportedError(f"kernel {self.name} is a generator: fill an array instead")
+            if self._compiling:
+                raise UnsupportedError(f"kernel {self.name} calls itself, directly or not: write a loop")
             tag = self._tag(args)
             part = self.load_part(tag)
             if part is None:
                 about = {"dispatcher": self, "args": args, "return_type": None}
-                with event.trigger_event("numba:compile", data=about), remembered(self.typingctx):
-                    part = self._compile_part(args, tag)
+                self._compiling = True
+                try:
+                    with event.trigger_event("numba:compile", data=about), remembered(self.typingctx):
+                        part = self._compile_part(args, tag)
+                finally:
+                    self._compiling = False
                 self._add_part(part, tag)
                 self._save_part(part, tag)
             return part
@@ -162,25 +167,21 @@ class Kernel(CPUDispatcher):
         self._parts[tag] = self._parts[args] = self.overloads[args] = part
         self.targetctx.insert_user_function(part.entry_point, part.fndesc, [library, *library.parts])
 
-    def _part_key(self, tag: str) -> Any:
-        return tag, self.targetctx.codegen().magic_tuple()
-
     def _save_part(self, part: Any, tag: str) -> None:
         library = part.library
-        called = [p.identity for p in library.parts]
-        if library.has_dynamic_globals or not all(k.is_kept() for k in (self, *(k for k, _ in called))):
-            return
-        names = [(k.py_func.__module__, k.py_func.__qualname__, its_tag) for k, its_tag in called]
-        self._cache._impl.locator.ensure_cache_path()
-        kept = (library.as_bitcode(), names, part.fndesc, part.environment, part.signature, part.reload_init)
-        self._part_file.save(self._part_key(tag), kept)
+        if _is_keepable(library, tag):
+            called = (p.identity for p in library.parts)
+            names = [(k.py_func.__module__, k.py_func.__qualname__, its_tag) for k, its_tag in called]
+            code = library.as_bitcode()
+            kept = (code, names, part.fndesc, part.environment, part.signature, part.reload_init)
+            self._kept.save("part", tag, kept)
 
     def load_part(self, tag: str) -> Any:
         """The part of this tag from memory or disk; None when it, or one that it calls, is in neither."""
-        if tag in self._parts or not self.is_kept():
+        if tag in self._parts or tag.startswith(HERE):
             return self._parts.get(tag)
         self.targetctx.refresh()
-        kept = self._part_file.load(self._part_key(tag))
+        kept = self._kept.load("part", tag)
         if kept is None:
             return None
         bitcode, names, fndesc, environment, signature, reload_init = kept
@@ -218,14 +219,21 @@ class Kernel(CPUDispatcher):
             if args not in self._wholes:
                 if not self._can_compile:
                     raise RuntimeError("compilation disabled")
-                whole = self._cache.load_overload(args, self.targetctx)
+                whole = self._load_whole(args)
                 if whole is None:
                     whole = self._compile_whole(self.part(args))
-                    self._cache.save_overload(args, whole)
                 self._wholes[args] = whole
                 self.overloads.setdefault(args, whole)
                 self._insert([a._code for a in args], whole.entry_point, False)
             return self._wholes[args].entry_point
+
+    def _load_whole(self, args: tuple[Any, ...]) -> Any:
+        tag = self._tag(args)
+        if tag.startswith(HERE):
+            return None
+        self.targetctx.refresh()
+        kept = self._kept.load("whole", tag)
+        return None if kept is None else compiler.CompileResult._rebuild(self.targetctx, *kept)
 
     def _compile_whole(self, part: Any) -> Any:
         fndesc, environment, options = part.fndesc, part.environment, self.targetoptions
@@ -238,4 +246,8 @@ class Kernel(CPUDispatcher):
         library.set_environments()
         called = (kernel._parts[tag] for kernel, tag in (p.identity for p in part.library.parts))
         initialise = [*dict.fromkeys(f for p in (part, *called) for f in p.reload_init)]
-        return part._replace(library=library, entry_point=function, reload_init=initialise)
+        whole = part._replace(library=library, entry_point=function, reload_init=initialise)
+        tag = part.library.identity[1]
+        if _is_keepable(part.library, tag) and not library.has_dynamic_globals:
+            self._kept.save("whole", tag, whole._reduce())
+        return whole

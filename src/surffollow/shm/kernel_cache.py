@@ -1,31 +1,43 @@
 """Where compiled kernels are kept, and when they are out of date.
 
-numba looks only at the file that a kernel stands in, but a kernel's machine code
-also holds the constants and kernels that it imports. This locator's stamp covers
-every surffollow module that the file imports, directly or not, so a changed layout
-is never run by yesterday's code. numba finds it by NUMBA_CACHE_LOCATOR_CLASSES,
-which `surffollow/__init__.py` sets.
+A kernel's machine code holds the constants and kernels that its module imports. So the stamp of a kept
+file covers every surffollow module that the kernel's module imports, directly or not, and the versions of
+what compiles it. numba's own cache looks at the kernel's file alone.
 
-Processes that compile at once, or are killed while they do, must never leave code under
-another signature's name: numba writes the index first, without a lock, and numbers its data
-files anew after a change of source. `KernelCacheFile` writes data, then index, under a lock,
-and names data by the stamp.
+Each signature has a file, named by a hash of all that tells it apart from others. The file begins with
+that hash and one of its content: what was damaged, or is another signature's, is as good as none. A file
+appears complete or not at all. So processes need neither lock nor index, whatever they do at once and
+whenever they die.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import itertools
-from collections.abc import Iterator
+import hashlib
+import os
+import pickle
+import platform
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
-from numba.core import caching
-from numba.core.caching import IndexDataCacheFile, _CacheLocator
+import llvmlite
+import numba
+import numpy as np
+from numba.core import config, serialize
+from numba.core.registry import cpu_target
 
 from surffollow.shm.cache_directory import cache_directory, make_private
 from surffollow.shm.source_stamp import PACKAGE, path_in_package, source_stamp
+
+# settings of numba's that are compiled into a kernel; processor and features are told apart by numba
+OPTIONS = (
+    *("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "EXTEND_VARIABLE_LIFETIMES", "LOOP_VECTORIZE"),
+    *("SLP_VECTORIZE", "USING_SVML", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS", "NRT_STATS", "DEBUG_NRT"),
+)
+_VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, platform.python_version())
+_SIZE = 16  # of a hash [bytes]
 
 
 def note_source(py_file: str) -> None:
@@ -41,96 +53,78 @@ def note_source(py_file: str) -> None:
         source_stamp(path)
 
 
-class KernelCacheLocator(_CacheLocator):  # type: ignore[misc]
-    """numba's question "where, and how fresh?" answered for the kernels of this package."""
-
-    def __init__(self, py_func: Any, py_file: str) -> None:
-        self._path = path_in_package(py_file) or Path(py_file).resolve()
-        self._line = py_func.__code__.co_firstlineno
-        inside = self._path.relative_to(PACKAGE).parent
-        self._folder = Path(cache_directory(), inside)
-
-    def get_cache_path(self) -> str:
-        return str(self._folder)
-
-    def ensure_cache_path(self) -> None:
-        make_private(self._folder)  # with any umask
-
-    def get_source_stamp(self) -> str:
-        return source_stamp(self._path)
-
-    def get_disambiguator(self) -> str:
-        return str(self._line)
-
-    @classmethod
-    def from_function(cls, py_func: Any, py_file: str) -> KernelCacheLocator | None:
-        """The locator of a kernel of ours; None for another one."""
-        return None if path_in_package(py_file) is None else cls(py_func, py_file)
+def compiled_for() -> tuple[str, ...]:
+    """Conditions of machine code besides its source: versions, processor, settings of numba's."""
+    options = (f"{name}={getattr(config, name, None)}" for name in OPTIONS)
+    return (*_VERSIONS, *cpu_target.target_context.codegen().magic_tuple(), *options)
 
 
-@contextlib.contextmanager
-def _locked(folder: str) -> Iterator[None]:
-    """Hold the folder's lock, which the kernel lets go with its process; none where files know no locks."""
-    with open(Path(folder, ".lock"), "a") as file:
+def _hash(*parts: Any) -> bytes:
+    return hashlib.blake2b(repr(parts).encode(), digest_size=_SIZE).digest()
+
+
+def cache_of(py_func: Any) -> KernelCache:
+    """The kept code of a kernel of this package."""
+    path = path_in_package(py_func.__code__.co_filename)
+    assert path is not None
+    python = f"py{sys.version_info[0]}{sys.version_info[1]}{sys.abiflags}"
+    folder = Path(cache_directory(), path.relative_to(PACKAGE).parent)
+    return KernelCache(folder, f"{path.stem}.{py_func.__qualname__}.{python}", source_stamp(path))
+
+
+class KernelCache:
+    """The kept code of one kernel.
+
+    Parameters
+    ----------
+    folder : may be missing
+    name : of the kernel, no other one's in the folder
+    stamp : of its source
+    """
+
+    def __init__(self, folder: Path, name: str, stamp: str) -> None:
+        self._folder, self._name = folder, name
+        self._stamp = _hash(name, stamp, _VERSIONS)
+        self._fresh = f"{name}.{self._stamp.hex()[:12]}."
+        self._swept = False
+
+    def _file(self, kind: str, tag: str) -> tuple[Path, bytes]:
+        identity = _hash(self._stamp, kind, tag, compiled_for())
+        return Path(self._folder, f"{self._fresh}{kind}-{identity.hex()}.nbc"), identity
+
+    def save(self, kind: str, tag: str, data: Any) -> None:
+        """Keep one signature; a full disk or a lost folder costs the entry and nothing else."""
+        path, identity = self._file(kind, tag)
+        content = serialize.dumps(data)  # type: ignore[no-untyped-call]
         with contextlib.suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+            make_private(self._folder)
+            self._remove_older()
+            number, temporary = tempfile.mkstemp(dir=self._folder, prefix=self._fresh, suffix=".tmp")
+            try:
+                with open(number, "wb") as file:
+                    file.write(identity + hashlib.blake2b(content, digest_size=_SIZE).digest() + content)
+                os.replace(temporary, path)
+            except OSError:
+                os.unlink(temporary)
+                raise
 
-
-_Files: Any = IndexDataCacheFile  # numba's are untyped
-
-
-class KernelCacheFile(_Files):  # type: ignore[misc]
-    """numba's index and data files of one kernel, safe between processes and against their death."""
-
-    def __init__(self, cache_path: str, filename_base: str, source_stamp: Any) -> None:
-        super().__init__(cache_path, filename_base, source_stamp)
-        self._base = filename_base
-        folder = Path(cache_path)
-        ours = Path(cache_directory()) in (folder, *folder.parents)
-        self._ours = ours and isinstance(source_stamp, str)
-        if self._ours:
-            self._data_name_pattern = f"{filename_base}.{source_stamp[:12]}.{{number:d}}.nbc"
-
-    def save(self, key: Any, data: Any) -> None:
-        """Keep one compiled signature; a full disk or a lost folder costs the entry and nothing else."""
-        if not self._ours:
-            super().save(key, data)
-            return
-        with contextlib.suppress(OSError), _locked(self._cache_path):
-            overloads = self._load_index_or_none()
-            if not overloads:
-                self._remove_older()
-            taken = set(overloads.values())
-            free = (n for n in map(self._data_name, itertools.count(1)) if n not in taken)
-            name = overloads.get(key) or next(free)
-            self._save_data(name, data)
-            self._save_index(overloads | {key: name})
-
-    def load(self, key: Any) -> Any:
-        """The kept code of this signature; None as well when power failed while it was written."""
-        if not self._ours:
-            return super().load(key)
-        name = self._load_index_or_none().get(key)
-        if name is None:
-            return None
+    def load(self, kind: str, tag: str) -> Any:
+        """Kept code of this signature; None where it is missing, damaged or another's."""
+        path, identity = self._file(kind, tag)
         try:
-            return self._load_data(name)
-        except Exception:  # unpickling cut bytes raises what it likes
+            kept = path.read_bytes()
+            content = kept[2 * _SIZE :]
+            expected = identity + hashlib.blake2b(content, digest_size=_SIZE).digest()
+            return pickle.loads(content) if kept[: 2 * _SIZE] == expected else None
+        except Exception:  # unpickling raises what it likes, for a class that went away
             return None
-
-    def _load_index_or_none(self) -> dict[Any, str]:
-        try:
-            return dict(self._load_index())
-        except Exception:
-            return {}
 
     def _remove_older(self) -> None:
-        """Delete machine code of an earlier source, and what a killed process was writing."""
-        for old in Path(self._cache_path).glob(f"{self._base}.*"):
-            with contextlib.suppress(OSError):
-                old.unlink()
-
-
-# numba offers no other interface to the files behind a locator
-setattr(caching, "IndexDataCacheFile", KernelCacheFile)  # noqa: B010 - a name of an untyped module
+        """Delete code of an earlier source, and what a killed process was writing."""
+        if self._swept:
+            return
+        self._swept = True
+        for old in self._folder.glob(f"{self._name}.*"):
+            if not old.name.startswith(self._fresh):
+                with contextlib.suppress(OSError):
+                    old.unlink()
