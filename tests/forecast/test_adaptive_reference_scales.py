@@ -9,7 +9,7 @@ from forecast.driving import Kernel, default_params
 from surffollow import Follower
 from surffollow.config.params import PARAMS
 from surffollow.forecast.reference_scales import EXPONENTS, scaled_defaults
-from surffollow.shm.layout_follow import MODE_ADAPTIVE, VALID, Output
+from surffollow.shm.layout_follow import MODE_ADAPTIVE, TOO_CLOSE, VALID, Output
 
 TICK_NS, READING_NS = 1 << 23, 1 << 22  # 8.4 and 4.2 ms: divisible by every factor tried
 LENGTHS = [2.0**k for k in range(-8, 9)]
@@ -113,6 +113,24 @@ def test_remembered_ground_scales_likewise():
     follower = make_follower(32.0, 16.0, ONE)
     closed_loop(32.0, 4, cycles=1500, follower=follower)
     assert follower._inputs["n_preview"][0] > 0, "remembered ground was looked up to the end"
+
+
+def approach(length):
+    """Demands and status of a follower whose range falls from the stand-off to the near limit."""
+    follower, found = make_follower(length, 1.0, ONE), []
+    for k in range(400):
+        z = 0.1 - 1.3e-4 * max(0, k - 20)
+        follower.pose(k * READING_NS, (0.0, 0.0, z * length, 0.0, 0.0, 0.0, 1.0))
+        demand = follower.step(k * READING_NS, [z * length if z > 0.05 else math.nan])
+        found.append([demand[2] / length, float(follower._output["status"][0])])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_the_thresholds_of_too_close_scale_with_window_and_stand_off(length):
+    usual = approach(1.0)
+    assert sum(int(s) & TOO_CLOSE != 0 for s in usual[:, 1]) > 20
+    assert (approach(length) == usual).all()
 
 
 def conversions_loop(length, power, cycles=400):
