@@ -106,6 +106,35 @@ def test_means_of_several_readings_are_emptied_by_gaps_of_the_same_scale():
     assert all((demands == runs[0]).all() for demands in runs.values())
 
 
+def clocks_loop(power):
+    """Demands and status with late readings, a pose from the future, and a clock that is set back."""
+    settings = {"pose_timeout_ns": stretched(12 << 23, power)}
+    follower, found = make_follower(1.0, 2.0**power, ONE, **settings), []
+    rng = np.random.default_rng(3)
+    for k in range(1500):
+        t = (k - (400 if k >= 1000 else 0)) * READING_NS
+        late = 130 if 300 <= k < 500 else 0
+        if k % 2 == 0:
+            ahead = 350 * READING_NS if k in (600, 800) else 0
+            pose = (0.1e-9 * k * READING_NS, 0.0, 0.1 + 2e-5 * rng.standard_normal(), 0.0, 0.0, 0.0, 1.0)
+            follower.pose(stretched(t + ahead, power), pose)
+        reading = 0.095 + 0.002 * math.sin(0.05 * k) + 2e-4 * rng.standard_normal()
+        follower.step(stretched(t - late * READING_NS, power), [reading])
+        demand = follower.step(stretched(t, power), [math.nan])
+        found.append([demand[2], float(follower._output["status"][0])])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("power", TIMES)
+def test_what_counts_as_another_clock_scales_likewise(power):
+    usual = clocks_loop(0)
+    valid = usual[:, 1].astype(int) & VALID != 0
+    assert valid[[290, 590, 990, 1499]].all()
+    assert not valid[600]
+    assert not valid[1000]
+    assert (clocks_loop(power) == usual).all()
+
+
 def test_remembered_ground_scales_likewise():
     """The way back is over ground of the first pass, written more than a second before."""
     runs = [closed_loop(length, power, cycles=1500) for length, power in ((1.0, 0), (32.0, 4))]

@@ -26,6 +26,7 @@ from surffollow.follower.setup import Config, read_setup
 from surffollow.forecast.estimation.model_bank import N_MODELS
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import MAX_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
+from surffollow.forecast.sensing.clock import CLOCK_JUMP_NS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.forecast.terrain.terrain_memory import new_memory, read_preview, store_footprint
 from surffollow.shm.dtypes import zeros
@@ -43,7 +44,6 @@ from surffollow.units import real_number
 
 RECALL_NS = 5_000_000  # remembered ground is looked up at most so often, at the reference time 1
 FUTURE_REASON = "timestamps jumped ahead; readings count as new as usual"
-PAUSE_NS = 1_000_000_000
 
 
 def _real(value: object) -> float:
@@ -110,10 +110,12 @@ class Follower:
         self._memory = new_memory() if setup.use_memory and adaptive else None
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         self._scaled = self._state["scaled"][0]
-        self._recall_ns = self._recall_interval_ns()
+        self._scale_times()
 
-    def _recall_interval_ns(self) -> float:
-        return RECALL_NS * float(self._scaled["time"])
+    def _scale_times(self) -> None:
+        """Times of the caller's clock that follow from the reference time."""
+        self._recall_ns = RECALL_NS * float(self._scaled["time"])
+        self._jump_ns = int(CLOCK_JUMP_NS * float(self._scaled["time"]))
 
     def set_params(self, **values: object) -> None:
         """Change parameters from the next step on.
@@ -159,7 +161,7 @@ class Follower:
         self._stamps = [FutureStamps(self._time) for _ in range(CHANNELS)]
         before = float(self._scaled["length"])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
-        self._recall_ns = self._recall_interval_ns()
+        self._scale_times()
         # cells of another reference length are of no use
         if self._memory is not None and (not keep_memory or float(self._scaled["length"]) != before):
             self._memory[:] = np.zeros((), self._memory.dtype)
@@ -247,12 +249,12 @@ class Follower:
             t = self._checked_stamp(t, n)
         self._n_ranges[0] = n
         self._t_ns[0] = self._given_t_ns[0] = t
-        self._latest_ns = max(t, self._latest_ns if self._latest_ns - t < PAUSE_NS else t)
+        self._latest_ns = max(t, self._latest_ns if self._latest_ns - t <= self._jump_ns else t)
         if self._latest_ns - t > self._pose_timeout_ns[0]:
             self._t_ns[0] = self._latest_ns  # an old reading is no reason to take the poses for future ones
         if self._memory is None or self._previews[0] == 0:
             self._n_preview[0] = 0
-        elif t_ns >= self._recalled_ns + self._recall_ns or t_ns < self._recalled_ns - PAUSE_NS:
+        elif t_ns >= self._recalled_ns + self._recall_ns or t_ns < self._recalled_ns - self._jump_ns:
             read_preview(self._memory, self._state, self._inputs)
             self._recalled_ns = t_ns
         follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
