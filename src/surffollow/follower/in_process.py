@@ -30,7 +30,7 @@ from surffollow.forecast.sensing.clock import CLOCK_JUMP_NS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.forecast.terrain.terrain_memory import new_memory, read_preview, store_footprint
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES, REASON_NAMES
+from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES, reason_text
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MODE_ADAPTIVE,
@@ -330,7 +330,7 @@ class Follower:
         if self._params["mode"][0] == MODE_ADAPTIVE:
             adaptive = self._state["adaptive"][0]
             out["health"] = HEALTH_NAMES[int(o["health"])]
-            out["reason"] = REASON_NAMES[int(o["reason"])]
+            out["reason"] = reason_text(int(o["reason"]))
             if out["health"] == "OK" and any(s.shift_ns != 0.0 for s in self._stamps):
                 out["health"], out["reason"] = "SUSPECT", FUTURE_REASON
             out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
