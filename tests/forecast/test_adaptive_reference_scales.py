@@ -107,13 +107,13 @@ def test_means_of_several_readings_are_emptied_by_gaps_of_the_same_scale():
 
 
 def clocks_loop(power):
-    """Demands and status with late readings, a pose from the future, and a clock that is set back."""
+    """Demands and status with late readings, a pose from the future, and clocks that are set back."""
     settings = {"pose_timeout_ns": stretched(12 << 23, power)}
     follower, found = make_follower(1.0, 2.0**power, ONE, **settings), []
     rng = np.random.default_rng(3)
-    for k in range(1500):
+    for k in range(2100):
         t = (k - (400 if k >= 1000 else 0)) * READING_NS
-        late = 130 if 300 <= k < 500 else 0
+        late = 130 if 300 <= k < 500 else 500 if k >= 1800 else 0
         if k % 2 == 0:
             ahead = 350 * READING_NS if k in (600, 800) else 0
             pose = (0.1e-9 * k * READING_NS, 0.0, 0.1 + 2e-5 * rng.standard_normal(), 0.0, 0.0, 0.0, 1.0)
@@ -129,7 +129,7 @@ def clocks_loop(power):
 def test_what_counts_as_another_clock_scales_likewise(power):
     usual = clocks_loop(0)
     valid = usual[:, 1].astype(int) & VALID != 0
-    assert valid[[290, 590, 990, 1499]].all()
+    assert valid[[290, 590, 990, 1499, 2099]].all()
     assert not valid[600]
     assert not valid[1000]
     assert (clocks_loop(power) == usual).all()
