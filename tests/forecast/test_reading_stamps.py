@@ -295,3 +295,34 @@ def test_a_clock_of_everything_that_is_set_back_is_followed_in_whatever_order_it
         walk.go(2003)
         walk.go(1500, -5000, pose_ahead_ms=-5000)
         assert walk.seen[-1] == (True, "OK", "")
+
+
+def test_poses_that_stop_for_a_while_do_not_change_the_usual_lead():
+    """GIVEN readings without a pose for 1.6 s WHEN the sensor clock is set back later THEN it is followed."""
+    walk = Walk(others=False)
+    walk.go(1000)
+    walk.go(1600, poses=False)
+    assert walk.go(1000) == (True, "OK", "")
+    assert walk.go(1000, -1500) == (True, "SUSPECT", BACK)
+
+
+@pytest.mark.parametrize("others", [True, False])
+@pytest.mark.parametrize("ahead_ms", [700, 3000, -1500])
+def test_stamps_that_become_right_after_wrong_ones_from_the_first_are_used(ahead_ms, others):
+    walk = Walk(others=others)
+    assert not walk.go(1500, ahead_ms)[0]
+    assert walk.go(1500) == (True, "OK", "")
+
+
+def test_a_state_without_a_demand_has_a_reason_at_once():
+    """GIVEN a clock of everything that is set back WHEN the estimate is discarded THEN there is a reason."""
+    walk, lost = Walk(), 0
+    walk.go(2000)
+    for _ in range(500):
+        valid, health, reason = walk.go(1, -5000, pose_ahead_ms=-5000)
+        if "SENSOR_LOST" in walk.f.state()["status"]:
+            lost += 1
+            assert not valid
+            assert health == "DROPOUT"
+            assert reason
+    assert lost > 0

@@ -264,6 +264,7 @@ class Follower:
     def _checked_stamp(self, t_ns: int, n: int) -> int:
         """The step's time; readings whose timestamp must be wrong are dropped."""
         first = next((c for c, r in enumerate(self._given_m[:n].tolist()) if r == r), None)
+        self._stamps.time.timeout_ns = float(self._pose_timeout_ns[0])
         t, dropped = self._stamps.check(t_ns, first)
         if dropped:
             self._given_m[:n] = math.nan

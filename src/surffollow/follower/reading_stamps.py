@@ -21,6 +21,7 @@ READINGS_AHEAD = "timestamps of readings lie ahead of those of poses by more tha
 READINGS_BEHIND = "timestamps of readings lie behind those of poses by more than the pose time-out"
 RATE = 0.05  # gain per value of the mean lead, its mean deviation and the mean interval
 DEVIATIONS = 4.0  # mean absolute deviations of the lead, in addition to one interval: the gate
+MAX_INTERVALS = 2.0  # after so many without another time, the other times stopped
 MIN_LEADS = 20  # burn-in of the mean lead
 BACK = 0.5  # of the time that tells another clock: timestamps that go back less are for the sample hold
 RELEASE = 0.5  # of the shift: timestamps nearer to the mean lead are right again
@@ -46,9 +47,12 @@ class ReferenceTime:
         a time that goes back so far is that of another clock [ns]
     quantum_ns : float
         shifts of timestamps are multiples of it [ns]
+    timeout_ns : float
+        readings that lead the reference time by more cannot be used: the pose time-out [ns]
     """
 
     def __init__(self) -> None:
+        self.timeout_ns = math.inf
         self.set_scale(1.0)
         self.restart(0)
 
@@ -103,13 +107,16 @@ class ReadingStamps:
         self._restart()
 
     def _restart(self) -> None:
+        self._last_ns = self._count = self._renewed_ns = 0
+        self._restarts = self._time.restarts
+        self._begin()
+
+    def _begin(self) -> None:
         self.shift_ns = 0.0
         self._waits_since = -1
         self._wait_ns = self._wait_from_ns = 0
         self._leads = 0
         self._lead_ns = self._deviation_ns = 0.0
-        self._last_ns = self._count = 0
-        self._restarts = self._time.restarts
 
     def correct(self, t_ns: int) -> int | None:
         """Correct the timestamp of a reading.
@@ -134,6 +141,8 @@ class ReadingStamps:
         margin_ns = time.interval_ns + DEVIATIONS * self._deviation_ns
         ahead_ns = lead_ns - self._lead_ns
         renewed, self._count = time.count > self._count, time.count
+        if renewed:
+            self._renewed_ns = t_ns
         back_ns = RELEASE * self.shift_ns if self.shift_ns < 0.0 else -BACK * time.jump_ns
         if self._leads >= MIN_LEADS and ahead_ns < back_ns:
             if self.shift_ns < 0.0:
@@ -146,7 +155,7 @@ class ReadingStamps:
             self.shift_ns, self._waits_since = 0.0, -1
             # timestamps that stand still or run slow are not usual: right ones later would be called ahead
             if self._leads < MIN_LEADS or ahead_ns >= -time.interval_ns:
-                self._learn(lead_ns)
+                self._learn(t_ns, lead_ns)
             return t_ns
         if self.shift_ns > 0.0:
             if renewed and abs(ahead_ns - self.shift_ns) > margin_ns:
@@ -154,11 +163,14 @@ class ReadingStamps:
             return t_ns - int(self.shift_ns)
         goes_on = self._waits_since < 0 and jump_ns <= margin_ns  # then the other times are late
         if goes_on:
-            self._learn(lead_ns)
+            self._learn(t_ns, lead_ns)
         return self._await(t_ns, ahead_ns, goes_on)
 
     def _await(self, t_ns: int, ahead_ns: float, goes_on: bool) -> int | None:
         """Drop readings with timestamps that jumped until other times confirm the jump, then shift them."""
+        if not -BACK * self._time.jump_ns <= self._lead_ns <= self._time.timeout_ns:
+            self._begin()  # usual timestamps are of no use: these may be right
+            return t_ns
         if self._waits_since < 0:
             if goes_on:
                 return t_ns
@@ -180,7 +192,10 @@ class ReadingStamps:
         """Shift timestamps to the mean lead."""
         self.shift_ns = ahead_ns - math.fmod(ahead_ns, self._time.quantum_ns)
 
-    def _learn(self, lead_ns: float) -> None:
+    def _learn(self, t_ns: int, lead_ns: float) -> None:
+        """Update the mean lead, unless the other times stopped: then every reading leads them farther."""
+        if t_ns - self._renewed_ns > MAX_INTERVALS * self._time.interval_ns > 0.0:
+            return
         self._leads += 1
         rate = max(RATE, 1.0 / self._leads)
         self._deviation_ns += rate * (abs(lead_ns - self._lead_ns) - self._deviation_ns)

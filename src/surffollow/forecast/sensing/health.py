@@ -256,6 +256,8 @@ def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
         health.candidate = candidate
         health.since_ns = clock.now_ns
     wait = ENTER_NS if candidate > health.state else LEAVE_NS
+    if health.state < DROPOUT and is_lost(params, adaptive) != 0:
+        wait = 0  # there is no demand: the reason is published at once
     if clock.now_ns - health.since_ns >= wait:
         health.state, health.reason = candidate, reason
 
