@@ -7,6 +7,7 @@ import os
 import pytest
 from click.testing import CliRunner
 
+from surffollow import Follower
 from surffollow.cli.service import start_command
 from surffollow.config.service import (
     ServiceConfig,
@@ -154,7 +155,10 @@ def test_modes_are_octal(text, value):
         ('[follow]\ntoo_close = "80 mm"\n', "too_close_m 0.08 m is above too_close_exit_m 0.05842 m"),
         ('[follow]\nrange_min = "0.2 m"\n', "range_min_m 0.2 m is not below range_max_m"),
         ('[follow]\ntoo_close_exit = "0.2 m"\n', "too_close_exit_m 0.2 m is not below range_max_m 0.1524 m"),
-        ('[follow]\noffset = "54 mm"\n', "too_close_m 0.05461 m is not below offset_m 0.054 m"),
+        (
+            '[follow]\noffset = "54 mm"\ntoo_close = "55 mm"\ntoo_close_exit = "56 mm"\n',
+            "too_close_m 0.055 m is not below offset_m 0.054 m",
+        ),
         ('[follow]\ntoo_close = "40 mm"\n', "too_close_m 0.04 m is below range_min_m 0.0508 m"),
     ],
 )
@@ -195,6 +199,8 @@ def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, 
         ({"range_min": "30 mm", "range_max": "130 mm"}, 0.03375, 0.0375),
         ({"range_min": "60 mm", "too_close": "62 mm"}, 0.062, 0.060 + 0.075 * 0.0924),
         ({"too_close": 0.0}, 0.0, 2.3 * 0.0254),
+        ({"range_max": "4 m"}, 0.0508 + 0.1 * 0.0492, 0.0508 + 0.2 * 0.0492),
+        ({"offset": "3 in"}, 0.0508 + 0.1 * 0.0254, 0.0508 + 0.2 * 0.0254),
     ],
 )
 def test_too_close_follows_from_the_window_that_is_configured(follow, close_m, exit_m):
@@ -203,3 +209,6 @@ def test_too_close_follows_from_the_window_that_is_configured(follow, close_m, e
     initialise_constants(params, parse_config({"follow": follow}), driver.info)
     assert float(params["too_close_m"][0]) == pytest.approx(close_m)
     assert float(params["too_close_exit_m"][0]) == pytest.approx(exit_m)
+    in_process = Follower(follow)
+    assert float(in_process._params["too_close_m"][0]) == float(params["too_close_m"][0])
+    assert float(in_process._params["too_close_exit_m"][0]) == float(params["too_close_exit_m"][0])

@@ -9,7 +9,7 @@ from forecast.driving import Kernel, default_params
 from surffollow import Follower
 from surffollow.config.params import PARAMS
 from surffollow.forecast.reference_scales import EXPONENTS, scaled_defaults
-from surffollow.shm.layout_follow import MODE_ADAPTIVE, VALID, Output
+from surffollow.shm.layout_follow import MODE_ADAPTIVE, TOO_CLOSE, VALID, Output
 
 TICK_NS, READING_NS = 1 << 23, 1 << 22  # 8.4 and 4.2 ms: divisible by every factor tried
 LENGTHS = [2.0**k for k in range(-8, 9)]
@@ -106,6 +106,35 @@ def test_means_of_several_readings_are_emptied_by_gaps_of_the_same_scale():
     assert all((demands == runs[0]).all() for demands in runs.values())
 
 
+def clocks_loop(power):
+    """Demands and status with late readings, a pose from the future, and clocks that are set back."""
+    settings = {"pose_timeout_ns": stretched(12 << 23, power)}
+    follower, found = make_follower(1.0, 2.0**power, ONE, **settings), []
+    rng = np.random.default_rng(3)
+    for k in range(2100):
+        t = (k - (400 if k >= 1000 else 0)) * READING_NS
+        late = 130 if 300 <= k < 500 else 500 if k >= 1800 else 0
+        if k % 2 == 0:
+            ahead = 350 * READING_NS if k in (600, 800) else 0
+            pose = (0.1e-9 * k * READING_NS, 0.0, 0.1 + 2e-5 * rng.standard_normal(), 0.0, 0.0, 0.0, 1.0)
+            follower.pose(stretched(t + ahead, power), pose)
+        reading = 0.095 + 0.002 * math.sin(0.05 * k) + 2e-4 * rng.standard_normal()
+        follower.step(stretched(t - late * READING_NS, power), [reading])
+        demand = follower.step(stretched(t, power), [math.nan])
+        found.append([demand[2], float(follower._output["status"][0])])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("power", TIMES)
+def test_what_counts_as_another_clock_scales_likewise(power):
+    usual = clocks_loop(0)
+    valid = usual[:, 1].astype(int) & VALID != 0
+    assert valid[[290, 590, 990, 1499, 2099]].all()
+    assert not valid[600]
+    assert not valid[1000]
+    assert (clocks_loop(power) == usual).all()
+
+
 def test_remembered_ground_scales_likewise():
     """The way back is over ground of the first pass, written more than a second before."""
     runs = [closed_loop(length, power, cycles=1500) for length, power in ((1.0, 0), (32.0, 4))]
@@ -113,6 +142,24 @@ def test_remembered_ground_scales_likewise():
     follower = make_follower(32.0, 16.0, ONE)
     closed_loop(32.0, 4, cycles=1500, follower=follower)
     assert follower._inputs["n_preview"][0] > 0, "remembered ground was looked up to the end"
+
+
+def approach(length):
+    """Demands and status of a follower whose range falls from the stand-off to the near limit."""
+    follower, found = make_follower(length, 1.0, ONE), []
+    for k in range(400):
+        z = 0.1 - 1.3e-4 * max(0, k - 20)
+        follower.pose(k * READING_NS, (0.0, 0.0, z * length, 0.0, 0.0, 0.0, 1.0))
+        demand = follower.step(k * READING_NS, [z * length if z > 0.05 else math.nan])
+        found.append([demand[2] / length, float(follower._output["status"][0])])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_the_thresholds_of_too_close_scale_with_window_and_stand_off(length):
+    usual = approach(1.0)
+    assert sum(int(s) & TOO_CLOSE != 0 for s in usual[:, 1]) > 20
+    assert (approach(length) == usual).all()
 
 
 def conversions_loop(length, power, cycles=400):

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from surffollow.shm.bit_names import FIRST_SERVICE_FAULT, SERVICE_FAULT_NAMES
-from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES, REASON_NAMES
+from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES, reason_text
 from surffollow.shm.layout_follow import MODE_ADAPTIVE
 
 _ESTIMATES = ("height_m", "slope", "speed_mps", "error_m")
@@ -47,7 +47,7 @@ def follower_report(output: Mapping[str, Any] | None, mode: int) -> dict[str, An
     names: tuple[str, ...] = _ESTIMATES
     if mode == MODE_ADAPTIVE:
         facts["health"] = HEALTH_NAMES[output["health"]] if 0 <= output["health"] < len(HEALTH_NAMES) else "?"
-        facts["reason"] = REASON_NAMES[output["reason"]] if 0 <= output["reason"] < len(REASON_NAMES) else "?"
+        facts["reason"] = reason_text(output["reason"])
         names += _ADAPTED
     for name in names:
         value = output[name]

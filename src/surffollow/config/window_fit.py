@@ -11,6 +11,10 @@ from collections.abc import Mapping
 
 from surffollow.errors import ConfigError
 
+# thresholds of TOO_CLOSE beyond the near limit: shares of the window's width (2.15 and 2.3 in of 2 to 6 in),
+# but no more than shares of the way to the stand-off, which those of a wide window would pass
+CLOSE_OF_WINDOW, EXIT_OF_WINDOW = 0.0375, 0.075
+CLOSE_OF_WAY, EXIT_OF_WAY = 0.1, 0.2
 # the arguments of `misfit`
 FITTED = ("range_min_m", "range_max_m", "offset_m", "too_close_m", "too_close_exit_m")
 RULE = (
@@ -48,6 +52,25 @@ MISFITS = (
         "set too_close_m and too_close_exit_m too, or too_close_m to 0 for no detection of fold-back",
     ),
 )
+
+
+def default_too_close(near_m: float, far_m: float, offset_m: float) -> tuple[float, float]:
+    """Thresholds of the fold-back that follow from window and stand-off.
+
+    Parameters
+    ----------
+    near_m, far_m : float  limits of the sensor's window [m]
+    offset_m : float       stand-off [m]
+
+    Returns
+    -------
+    too_close_m, too_close_exit_m : float
+    """
+    width, way = max(far_m - near_m, 0.0), max(offset_m - near_m, 0.0)
+    return (
+        near_m + min(CLOSE_OF_WINDOW * width, CLOSE_OF_WAY * way),
+        near_m + min(EXIT_OF_WINDOW * width, EXIT_OF_WAY * way),
+    )
 
 
 def misfit(near_m: float, far_m: float, offset_m: float, close_m: float, exit_m: float) -> int:

@@ -5,7 +5,8 @@
     demand = f.step(t_ns, [range_m])             # six numbers to add to the newest pose reported
 
 Times are int64 ns of one clock, which may begin at 0. A reading's timestamp may lie before the last step's.
-In the adaptive mode timestamps that jump ahead of poses and other steps are corrected (`future_stamps`).
+In the adaptive mode timestamps that jump away from those of poses and other steps are corrected
+(`reading_stamps`).
 """
 
 from __future__ import annotations
@@ -20,20 +21,18 @@ from numpy.typing import NDArray
 from surffollow.config.params import check_param, names_given
 from surffollow.config.window_fit import FITTED, check_fit
 from surffollow.errors import PoseError, UsageError
-from surffollow.follower.future_stamps import FutureStamps, ReferenceTime
-from surffollow.follower.kernel_time import SHIFT_NS, kernel_time
+from surffollow.follower.kernel_time import kernel_time
+from surffollow.follower.reading_stamps import Timestamps
 from surffollow.follower.setup import Config, read_setup
-from surffollow.forecast.estimation.model_bank import N_MODELS
+from surffollow.follower.state_report import state_report
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import MAX_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.forecast.terrain.terrain_memory import new_memory, read_preview, store_footprint
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES, REASON_NAMES
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MODE_ADAPTIVE,
-    STATUS_NAMES,
     FollowState,
     Inputs,
     Output,
@@ -42,8 +41,6 @@ from surffollow.shm.layout_follow import (
 from surffollow.units import real_number
 
 RECALL_NS = 5_000_000  # remembered ground is looked up at most so often, at the reference time 1
-FUTURE_REASON = "timestamps jumped ahead; readings count as new as usual"
-PAUSE_NS = 1_000_000_000
 
 
 def _real(value: object) -> float:
@@ -96,7 +93,7 @@ class Follower:
         self._pose = np.zeros(7)
         self._n_preview, self._previews = self._inputs["n_preview"], self._params["preview"]
         self._pose_timeout_ns = self._params["pose_timeout_ns"]
-        self._recalled_ns = self._latest_ns = 0
+        self._recalled_ns = self._latest_ns = self._stepped_ns = 0
         setup = read_setup(config, offset_m)
         for name, number in setup.values.items():
             self._params[name] = number
@@ -105,15 +102,18 @@ class Follower:
         mounts[:, 6] = 1.0
         mounts[: len(setup.mounts)] = setup.mounts
         adaptive = self._params["mode"][0] == MODE_ADAPTIVE
-        self._time, self._checks_stamps = ReferenceTime(), bool(adaptive)
-        self._stamps = [FutureStamps(self._time) for _ in range(CHANNELS)]
+        self._checks_stamps = bool(adaptive)
         self._memory = new_memory() if setup.use_memory and adaptive else None
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         self._scaled = self._state["scaled"][0]
-        self._recall_ns = self._recall_interval_ns()
+        self._stamps = Timestamps()
+        self._scale_times()
 
-    def _recall_interval_ns(self) -> float:
-        return RECALL_NS * float(self._scaled["time"])
+    def _scale_times(self) -> None:
+        """Times of the caller's clock that follow from the reference time."""
+        self._recall_ns = RECALL_NS * float(self._scaled["time"])
+        self._stamps.time.set_scale(float(self._scaled["time"]))
+        self._jump_ns = self._stamps.time.jump_ns
 
     def set_params(self, **values: object) -> None:
         """Change parameters from the next step on.
@@ -156,10 +156,10 @@ class Follower:
         """
         if offset_m is not None:
             self._change({"offset_m": check_param("offset_m", offset_m)})
-        self._stamps = [FutureStamps(self._time) for _ in range(CHANNELS)]
+        self._stamps.reset()
         before = float(self._scaled["length"])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
-        self._recall_ns = self._recall_interval_ns()
+        self._scale_times()
         # cells of another reference length are of no use
         if self._memory is not None and (not keep_memory or float(self._scaled["length"]) != before):
             self._memory[:] = np.zeros((), self._memory.dtype)
@@ -196,13 +196,13 @@ class Follower:
         except (TypeError, ValueError, OverflowError):
             raise PoseError(f"a pose is seven numbers x y z qx qy qz qw, not {pose!r}") from None
         t = kernel_time(t_ns)
-        found = report_pose(self._state, self._t_ns[0], t, p)
+        found = report_pose(self._state, self._stepped_ns, t, p)
         if found == NO_POSE:
             raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
         if found == TOO_FAR:
             raise PoseError(f"pose {p.tolist()} lies beyond {MAX_POSITION_M:g} m")
         if found == TAKEN:
-            self._time.add(t)
+            self._stamps.note_pose(t)
         return bool(found == TAKEN)
 
     def step(self, t_ns: int, ranges_m: Sequence[float] | NDArray[Any]) -> NDArray[np.float64]:
@@ -242,17 +242,17 @@ class Follower:
             raise
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"step takes a list of ranges, not {ranges_m!r}") from None
-        t = kernel_time(t_ns)
+        t = self._stepped_ns = kernel_time(t_ns)
         if self._checks_stamps:
             t = self._checked_stamp(t, n)
         self._n_ranges[0] = n
         self._t_ns[0] = self._given_t_ns[0] = t
-        self._latest_ns = max(t, self._latest_ns if self._latest_ns - t < PAUSE_NS else t)
+        self._latest_ns = max(t, self._latest_ns if self._latest_ns - t <= self._jump_ns else t)
         if self._latest_ns - t > self._pose_timeout_ns[0]:
             self._t_ns[0] = self._latest_ns  # an old reading is no reason to take the poses for future ones
         if self._memory is None or self._previews[0] == 0:
             self._n_preview[0] = 0
-        elif t_ns >= self._recalled_ns + self._recall_ns or t_ns < self._recalled_ns - PAUSE_NS:
+        elif t_ns >= self._recalled_ns + self._recall_ns or t_ns < self._recalled_ns - self._jump_ns:
             read_preview(self._memory, self._state, self._inputs)
             self._recalled_ns = t_ns
         follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
@@ -264,14 +264,13 @@ class Follower:
     def _checked_stamp(self, t_ns: int, n: int) -> int:
         """The step's time; readings whose timestamp must be wrong are dropped."""
         first = next((c for c, r in enumerate(self._given_m[:n].tolist()) if r == r), None)
-        if first is None:
-            self._time.add(t_ns)
-            return t_ns
-        stamp_ns = self._stamps[first].correct(t_ns)
-        if stamp_ns is None:
+        self._stamps.time.timeout_ns = float(self._pose_timeout_ns[0])
+        t, dropped = self._stamps.check(t_ns, first)
+        if dropped:
             self._given_m[:n] = math.nan
-            return self._time.newest_ns
-        return stamp_ns
+        else:
+            self._stepped_ns = t
+        return t
 
     def forecast_range_m(self, horizon_s: float) -> float:
         """The range that channel 0 will read `horizon_s` [s] after its last valid reading; NaN before one.
@@ -313,32 +312,4 @@ class Follower:
         `weights` are the probabilities of all models in the blend; their sum is 1
         (`forecast.estimation.model_bank`).
         """
-        o = self._output[0]
-        bits = int(o["status"])
-        out: dict[str, Any] = {
-            "status": [n for k, n in enumerate(STATUS_NAMES) if bits >> k & 1],
-            "mode": "adaptive" if self._params["mode"][0] == MODE_ADAPTIVE else "paper",
-            "offset_m": float(self._params["offset_m"][0]),
-            "poses_refused": int(self._sense["poses_refused"]),
-        }
-        names = ("t_ns", "pose_t_ns", "cycle", "height_m", "slope", "speed_mps", "delta_h_m", "error_m")
-        out.update({n: o[n].item() for n in names})
-        for stamp in ("t_ns", "pose_t_ns"):
-            out[stamp] -= SHIFT_NS if out[stamp] else 0  # 0: before the first step, or pose
-        if self._params["mode"][0] == MODE_ADAPTIVE:
-            adaptive = self._state["adaptive"][0]
-            out["health"] = HEALTH_NAMES[int(o["health"])]
-            out["reason"] = REASON_NAMES[int(o["reason"])]
-            if out["health"] == "OK" and any(s.shift_ns != 0.0 for s in self._stamps):
-                out["health"], out["reason"] = "SUSPECT", FUTURE_REASON
-            out["faults"] = [n for k, n in enumerate(FAULT_NAMES) if int(o["faults"]) >> k & 1]
-            shown: tuple[str, ...] = ("sigma_m", "noise_m", "roughness_m", "late_s", "latency_s", "tau_s")
-            shown += ("permitted_variance_m", "interval_size_m", "range_size", "beams")
-            out.update({n: o[n].item() for n in shown})
-            out["preview_share"] = float(adaptive["preview"]["share"])
-            out["weights"] = adaptive["weights"]["weight"][:N_MODELS].tolist()
-            if adaptive["plane"]["count"] > 0:
-                out["normal"] = o["normal"].tolist()
-        out["demand"] = self._demand.tolist()
-        out["range_m"] = o["range_m"][: int(self._params["n_channels"][0])].tolist()
-        return out
+        return state_report(self._params[0], self._state[0], self._output[0], self._stamps)

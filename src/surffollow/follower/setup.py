@@ -10,7 +10,7 @@ import numpy as np
 
 from surffollow.config.params import PARAMS, add_given, check_param, names_given, param_name
 from surffollow.config.toml_file import read_toml
-from surffollow.config.window_fit import check_fit
+from surffollow.config.window_fit import check_fit, default_too_close
 from surffollow.errors import ConfigError
 from surffollow.forecast.pose import QUATERNION_TOLERANCE
 from surffollow.forecast.reference_scales import scaled_defaults
@@ -19,13 +19,9 @@ from surffollow.units import parse_quantity
 
 Config = Mapping[str, Any] | str | Path | None
 
-TOO_CLOSE_BEYOND_M = 0.15 * 0.0254  # beyond the near limit of a sensor given by its window
-TOO_CLOSE_EXIT_M = 0.3 * 0.0254  # but no more than the shares of the way to the stand-off
 MAX_MOUNT_M = 1e3
 # what differs from the service's defaults: readings come ready-made with timestamps of their own
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "sensor_readings": 1}
-# thresholds of too_close: of the way from the near limit to the stand-off
-TOO_CLOSE_SHARE, TOO_CLOSE_EXIT_SHARE = 0.075, 0.15
 _MODES = {"default": "adaptive", "ours": "adaptive"}
 _PLANT = {"tau_s": "plant_tau_s", "v_max_mps": "plant_v_max_mps", "a_max_mps2": "plant_a_max_mps2"}
 _WINDOW = {"near_m": "range_min_m", "far_m": "range_max_m"}
@@ -77,8 +73,8 @@ def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
     desired = given.get("offset_m", values["offset_m"])
     if given.get("mode", values["mode"]) == MODE_ADAPTIVE:
         values.update(scaled_defaults(desired, given.get("plant_tau_s", values["plant_tau_s"])))
-    if "range_min_m" in given:
-        values["too_close_m"], values["too_close_exit_m"] = default_too_close(given["range_min_m"], desired)
+    near, far = (given.get(name, values[name]) for name in ("range_min_m", "range_max_m"))
+    values["too_close_m"], values["too_close_exit_m"] = default_too_close(near, far, desired)
     values.update(given)
     check_fit(values)
     return FollowerSetup(values, [m["pose"] for m in mounts], use_memory)
@@ -108,15 +104,6 @@ def _given(
         add_given(names, full, f"sensors[{first}].{key}")
         values[full] = number
     return values
-
-
-def default_too_close(near_m: float, offset_m: float) -> tuple[float, float]:
-    """`too_close_m` and `too_close_exit_m` of a window that begins at `near_m`, for a stand-off."""
-    room = max(offset_m - near_m, 0.0)
-    return (
-        near_m + min(TOO_CLOSE_BEYOND_M, TOO_CLOSE_SHARE * room),
-        near_m + min(TOO_CLOSE_EXIT_M, TOO_CLOSE_EXIT_SHARE * room),
-    )
 
 
 def _read(config: Config) -> dict[str, Any]:

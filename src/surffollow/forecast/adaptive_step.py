@@ -219,7 +219,7 @@ def compute_demand(
         moving = 1 if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0
         observe_lookahead(params, adaptive, sense, moving, pose)
     stuck = min(is_stuck(health) + is_unresponsive(adaptive.response), 1)
-    update_health(params, adaptive, stuck)
+    update_health(params, adaptive, sense, stuck)
     if has_jumped(kinematics, clock.now_ns) != 0:
         withdraw_preview(adaptive.preview)
         reset_known_ground(adaptive.known)

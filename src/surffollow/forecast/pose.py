@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from surffollow.forecast.sensing.clock import clock_jump_ns
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
 QUATERNION_TOLERANCE = 1e-3
 MAX_POSITION_M = 1e9  # as the service's client
-MAX_FUTURE_NS = 1_000_000_000  # a pose so far ahead of the steps and of a newer report was stamped wrongly
 REFUSED, TAKEN, NO_POSE, TOO_FAR = range(4)
 
 
@@ -111,7 +111,8 @@ def report_pose(state: Any, step_ns: Any, t_ns: Any, pose: Any) -> Any:
     sense = state[0].sense
     if sense.pose_count > 0:
         newest = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
-        if t_ns <= newest - MAX_FUTURE_NS and newest > max(t_ns, step_ns) + MAX_FUTURE_NS:
+        jump_ns = clock_jump_ns(state[0].scaled)
+        if t_ns <= newest - jump_ns and newest > max(t_ns, step_ns) + jump_ns:
             sense.pose_count = 0  # else a single wrong stamp would refuse every report for ever
     return push_pose(sense, t_ns, pose, 0)
 

@@ -19,7 +19,7 @@ from surffollow.forecast.estimation.model_weights import discard_weights
 from surffollow.forecast.estimation.noise import discard_noise
 from surffollow.forecast.plant.controller_clock import reset_controller
 from surffollow.forecast.plant.plant_identification import reset_plant_time, reset_time_constant
-from surffollow.forecast.sensing.health import clear_faults, latch_fault, restart_hysteresis
+from surffollow.forecast.sensing.health import clear_faults, latch_fault, reset_health_times
 from surffollow.forecast.sensing.latency_identification import reset_latency
 from surffollow.forecast.sensing.measurement import reset_sample
 from surffollow.forecast.sensing.range_prediction import reset_prediction_time
@@ -78,7 +78,7 @@ def reset_timestamps(adaptive: Any) -> None:
     Times that are compared for equality only, or that an initialisation sets, stay.
     """
     latch_fault(adaptive.health, FAULT_CLOCK)
-    restart_hysteresis(adaptive.health, adaptive.clock.now_ns)
+    reset_health_times(adaptive.health, adaptive.clock.now_ns)
     discard_estimate(adaptive.estimate)
     reset_estimate_times(adaptive.estimate)
     reset_hold(adaptive.hold)

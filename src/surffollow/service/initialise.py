@@ -12,7 +12,7 @@ from surffollow.config.params import PARAMS
 from surffollow.config.service import ServiceConfig, follow_params, seconds
 from surffollow.config.stop_causes import STOP_NAMES, stop_causes
 from surffollow.config.trusted_users import own_user
-from surffollow.config.window_fit import FITTED, check_fit
+from surffollow.config.window_fit import FITTED, check_fit, default_too_close
 from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.hw.driver import ConversionQueue, DriverInfo, PoseQueue
 from surffollow.service import memory as m
@@ -32,7 +32,6 @@ from surffollow.shm.layout_follow import (
 from surffollow.shm.ring import make_ring
 
 CHANGES = 1 << 14  # entries for the audit trail between two looks of the main thread
-TOO_CLOSE_SHARE, TOO_CLOSE_EXIT_SHARE = 0.0375, 0.075
 
 
 def make_sample_ring(config: ServiceConfig, period_ns: int) -> tuple[NDArray[Any], int]:
@@ -151,12 +150,10 @@ def initialise_constants(params: Any, config: ServiceConfig, info: DriverInfo) -
     p["tool_from_sensor"] = np.array(info.mounts, np.float64).reshape(-1)
     p["stop_on"] = stop_causes(config.stop.on)
     given = follow_params(config)
-    # the default sensor's 2.15 and 2.3 in, as shares of the window in force
     near, far = given.get("range_min_m", info.range_min_m), given.get("range_max_m", info.range_max_m)
-    p["too_close_m"] = near + TOO_CLOSE_SHARE * (far - near)
-    p["too_close_exit_m"] = near + TOO_CLOSE_EXIT_SHARE * (far - near)
+    offset, tau = (given.get(n, PARAMS[n].default) for n in ("offset_m", "plant_tau_s"))
+    p["too_close_m"], p["too_close_exit_m"] = default_too_close(near, far, offset)
     if given.get("mode", PARAMS["mode"].default) == MODE_ADAPTIVE:
-        offset, tau = (given.get(n, PARAMS[n].default) for n in ("offset_m", "plant_tau_s"))
         for name, value in scaled_defaults(offset, tau).items():
             p[name] = value
     for name, value in given.items():

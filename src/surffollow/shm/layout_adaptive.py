@@ -200,6 +200,7 @@ REASON_NAMES = (
     "sensors disagree without a majority; the nearer ground counts",
     "reported position jumped; ground known from before is not used",
     "readings do not respond to the tool's rotation; the tool does not rotate",
+    "some sensors give no reading within the window; the others count",
 )
 (
     REASON_NONE,
@@ -214,4 +215,17 @@ REASON_NAMES = (
     REASON_SENSORS,
     REASON_POSE_JUMP,
     REASON_ROTATION,
-) = range(12)
+    REASON_SILENT,
+) = range(13)
+REASON_CHANNELS = 8  # first bit of a reason that names a channel
+
+
+def reason_text(reason: int) -> str:
+    """A published reason in words, with the channels that it names; "?": unknown to this version."""
+    number, channels = reason & (1 << REASON_CHANNELS) - 1, reason >> REASON_CHANNELS
+    if reason < 0 or number >= len(REASON_NAMES):
+        return "?"
+    named = [str(c) for c in range(channels.bit_length()) if channels >> c & 1]
+    if not named:
+        return REASON_NAMES[number]
+    return f"{REASON_NAMES[number]} (channel{'s' if len(named) > 1 else ''} {', '.join(named)})"

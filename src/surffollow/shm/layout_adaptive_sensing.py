@@ -72,7 +72,7 @@ class Health(Schema):
     """Health of the ranging (`health`)."""
 
     state = I64(doc="see HEALTH_NAMES")
-    reason = I64(doc="why the state is not OK, see REASON_NAMES")
+    reason = I64(doc="why the state is not OK: number of REASON_NAMES, from bit 8 on a bit per channel")
     since_ns = I64(unit="ns", doc="since when the candidate differs from the state")
     candidate = I64(doc="state without hysteresis")
     faults = I64(doc="bits of FAULT_NAMES, latched until the reset")
@@ -82,6 +82,8 @@ class Health(Schema):
     repeat_range_m = F64(unit="m", doc="its range")
     noise_floor_m = F64(unit="m", doc="least noise of the readings lately")
     usual_repeats = F64(doc="longest such run lately; 0: not known")
+    reading_ns = I64(BEAMS, unit="ns", doc="arrival of the newest reading per channel; 0: none yet")
+    interval_ns = I64(BEAMS, unit="ns", doc="usual interval of these; 0: not known")
 
 
 RESPONSE_RUN, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_FAILED = range(4)

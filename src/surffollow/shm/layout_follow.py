@@ -244,7 +244,9 @@ class Output(Schema):
     beams = I64(doc="adaptive, 3 or more sensors: bit per channel that agrees with the plane")
     stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
     stop_now = I64(doc="causes that this cycle saw, whether the configuration names them or not")
-    reason = I64(doc="why `health` is not OK, see REASON_NAMES; 0: it is")
+    reason = I64(
+        doc="why `health` is not OK: number of REASON_NAMES, from bit 8 on a bit per channel; 0: it is"
+    )
 
 
 class ScaledState(Schema):

@@ -6,7 +6,18 @@ from typing import Any
 
 from surffollow.shm.jit import jit
 
-CLOCK_JUMP_NS = 1_000_000_000  # late samples are never so late: it is another clock
+CLOCK_JUMP_NS = 1_000_000_000  # late samples are never so late: it is another clock; at the reference time 1
+
+
+@jit
+def clock_jump_ns(scaled: Any) -> Any:
+    """The same in nanoseconds of the inputs.
+
+    Parameters
+    ----------
+    scaled : record of `ScaledState`  read only
+    """
+    return CLOCK_JUMP_NS << scaled.shift if scaled.shift >= 0 else CLOCK_JUMP_NS >> -scaled.shift
 
 
 @jit

@@ -13,6 +13,7 @@ from surffollow.shm.layout_adaptive import (
     FAULT_NOT_FINITE,
     OK,
     OUT_OF_RANGE,
+    REASON_CHANNELS,
     REASON_LOST,
     REASON_NO_READING,
     REASON_NONE,
@@ -22,18 +23,20 @@ from surffollow.shm.layout_adaptive import (
     REASON_POSE_JUMP,
     REASON_ROTATION,
     REASON_SENSORS,
+    REASON_SILENT,
     REASON_STUCK,
     REASON_TIMESTAMPS,
     STUCK,
     SUSPECT,
 )
-from surffollow.shm.layout_adaptive_sensing import STUCK_COUNT
+from surffollow.shm.layout_adaptive_sensing import BEAMS, STUCK_COUNT
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
 DROPOUT_NS = 50_000_000  # no sample for so long beyond the usual delay …
 DROPOUT_INTERVALS = 2.5  # … or for so many usual intervals of a slow sensor …
 MAX_DROPOUT_S = 1.0  # … but no longer than this
+INTERVAL_READINGS = 8  # readings over which the usual interval of a channel's readings is averaged
 WINDOW_EDGE_M = 0.003  # a loss that began so near an end of the window is OUT_OF_RANGE
 STUCK_SAMPLES = 50  # equal samples …
 STUCK_S, STUCK_MIN_SAMPLES = 0.4, 8.0  # … or, of a slow sensor, for so long, and at least so many …
@@ -177,9 +180,46 @@ def is_lost(params: Any, adaptive: Any) -> Any:
 
 
 @jit
-def update_health(params: Any, adaptive: Any, stuck: Any) -> None:
-    """Determine health and reason, and publish them with hysteresis."""
+def observe_channels(params: Any, health: Any, sense: Any, now_ns: Any) -> None:
+    """Note when each channel has a reading, and the usual interval of its readings."""
+    for c in range(params.n_channels):
+        if sense.fresh[c] == 0:
+            continue
+        gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
+        if usual_ns != 0:
+            health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // INTERVAL_READINGS
+        elif health.reading_ns[c] != 0:
+            health.interval_ns[c] = gap_ns
+        health.reading_ns[c] = now_ns
+
+
+@jit
+def silent_channels(params: Any, health: Any, now_ns: Any) -> Any:
+    """Bit per channel of several that is without a reading as long as a drop-out is.
+
+    The time is that of arrival: a wrong timestamp is no missing reading.
+    """
+    silent = 0
+    if params.n_channels > 1:
+        for c in range(params.n_channels):
+            tolerance_ns = min(DROPOUT_INTERVALS * health.interval_ns[c], MAX_DROPOUT_S * 1e9)
+            if now_ns - health.reading_ns[c] > max(DROPOUT_NS, tolerance_ns):
+                silent |= 1 << c
+    return silent
+
+
+@jit
+def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
+    """Determine health and reason, and publish them with hysteresis.
+
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (`health` updated), `SenseState`
+    stuck : int  1: the range does not respond to the tool's motion
+    """
     clock, hold, health, estimate = adaptive.clock, adaptive.hold, adaptive.health, adaptive.estimate
+    observe_channels(params, health, sense, clock.now_ns)
+    silent = silent_channels(params, health, clock.now_ns)
     candidate, reason = OK, REASON_NONE
     if health.faults & FAULT_NOT_FINITE and estimate.samples < STUCK_SAMPLES:
         candidate, reason = FAULT, REASON_NOT_FINITE
@@ -201,8 +241,12 @@ def update_health(params: Any, adaptive: Any, stuck: Any) -> None:
         candidate, reason = SUSPECT, REASON_SENSORS
     elif has_failed(adaptive.rotation) != 0:
         candidate, reason = SUSPECT, REASON_ROTATION
+    elif silent != 0:
+        candidate, reason = SUSPECT, REASON_SILENT
     elif adaptive.gate.pending > 0:
         candidate, reason = SUSPECT, REASON_PENDING
+    if candidate in (DROPOUT, OUT_OF_RANGE) or reason == REASON_SILENT:
+        reason |= silent << REASON_CHANNELS
     if candidate == health.state:
         health.reason = reason
         health.candidate = candidate
@@ -212,6 +256,8 @@ def update_health(params: Any, adaptive: Any, stuck: Any) -> None:
         health.candidate = candidate
         health.since_ns = clock.now_ns
     wait = ENTER_NS if candidate > health.state else LEAVE_NS
+    if health.state < DROPOUT and is_lost(params, adaptive) != 0:
+        wait = 0  # there is no demand: the reason is published at once
     if clock.now_ns - health.since_ns >= wait:
         health.state, health.reason = candidate, reason
 
@@ -236,6 +282,8 @@ def clear_faults(health: Any) -> None:
 
 
 @jit
-def restart_hysteresis(health: Any, now_ns: Any) -> None:
-    """Count the hysteresis from now on: the clock jumped."""
+def reset_health_times(health: Any, now_ns: Any) -> None:
+    """Count hysteresis and missing readings from now on: the clock jumped."""
     health.since_ns = now_ns
+    for c in range(BEAMS):
+        health.reading_ns[c] = min(health.reading_ns[c], now_ns)

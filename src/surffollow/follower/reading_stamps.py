@@ -1,0 +1,277 @@
+"""Timestamps of readings that disagree with every other time that is known.
+
+A follower in process has no clock. Its reference time is the newest timestamp of a pose or of a step without
+a reading. The timestamp of a reading leads the reference time by a mean lead. A timestamp that jumps ahead
+of the mean lead, or goes back behind it as far as no delay is, is wrong, or the reference time is. The
+reading is dropped until two reference times more have come. If the timestamps still disagree, they are
+shifted to the mean lead.
+"""
+
+from __future__ import annotations
+
+import math
+
+from surffollow.forecast.sensing.clock import CLOCK_JUMP_NS
+from surffollow.shm.layout_adaptive import REASON_NAMES, REASON_TIMESTAMPS
+from surffollow.shm.layout_follow import CHANNELS
+
+AHEAD = "timestamps jumped ahead; readings count as new as usual"
+# where both arrive
+READINGS_AHEAD = "timestamps of readings lie ahead of those of poses by more than the pose time-out"
+READINGS_BEHIND = "timestamps of readings lie behind those of poses by more than the pose time-out"
+RATE = 0.05  # gain per value of the mean lead, its mean deviation and the mean interval
+DEVIATIONS = 4.0  # mean absolute deviations of the lead, in addition to one interval: the gate
+MAX_INTERVALS = 2.0  # after so many without another time, the other times stopped
+MIN_LEADS = 20  # burn-in of the mean lead
+BACK = 0.5  # of the time that tells another clock: timestamps that go back less are for the sample hold
+RELEASE = 0.5  # of the shift: timestamps nearer to the mean lead are right again
+# at the reference time 1, divisible by all reference times: whole nanoseconds would not scale bit for bit
+QUANTUM_NS = 1 << 12  # of a shift
+CONFIRMING_TIMES = 2  # reference times after the jump: a single one may itself be late
+
+
+class ReferenceTime:
+    """Newest timestamp of poses and of steps without a reading.
+
+    Attributes
+    ----------
+    newest_ns : int
+        the reference time [ns]; 0: unknown
+    interval_ns : float
+        mean interval between reference times [ns]
+    count : int
+        reference times since the start
+    restarts : int
+        changes of the clock
+    jump_ns : float
+        a time that goes back so far is that of another clock [ns]
+    quantum_ns : float
+        shifts of timestamps are multiples of it [ns]
+    timeout_ns : float
+        readings that lead the reference time by more cannot be used: the pose time-out [ns]
+    """
+
+    def __init__(self) -> None:
+        self.timeout_ns = math.inf
+        self.set_scale(1.0)
+        self.restart(0)
+
+    def set_scale(self, scale: float) -> None:
+        """Scale the constants: a multiple of the usual reference time, a power of two."""
+        self.jump_ns, self.quantum_ns = CLOCK_JUMP_NS * scale, QUANTUM_NS * scale
+
+    def restart(self, t_ns: int) -> None:
+        """Reset the statistics and begin at a time.
+
+        Parameters
+        ----------
+        t_ns : int
+            reference time [ns]; 0: unknown
+        """
+        self.newest_ns, self.interval_ns, self.count, self.restarts = t_ns, 0.0, 0, 0
+
+    def add(self, t_ns: int) -> None:
+        """Add a reference time.
+
+        Parameters
+        ----------
+        t_ns : int
+            timestamp of a pose, or of a step without a reading [ns]
+        """
+        interval_ns = t_ns - self.newest_ns
+        if self.newest_ns == 0:
+            self.newest_ns = t_ns
+        elif interval_ns > 0:
+            if self.interval_ns == 0.0:
+                self.interval_ns = float(interval_ns)
+            self.interval_ns += RATE * (min(interval_ns, 2.0 * self.interval_ns) - self.interval_ns)
+            self.newest_ns = t_ns
+            self.count += 1
+        elif interval_ns < -max(DEVIATIONS * self.interval_ns, self.jump_ns):
+            restarts = self.restarts + 1
+            self.restart(t_ns)
+            self.restarts = restarts
+
+
+class ReadingStamps:
+    """Correct the timestamps of one sensor in the order of arrival.
+
+    Parameters
+    ----------
+    time : ReferenceTime
+        shared by all sensors of a follower
+    """
+
+    def __init__(self, time: ReferenceTime) -> None:
+        self._time = time
+        self._restart()
+
+    def _restart(self) -> None:
+        self._last_ns = self._count = self._renewed_ns = 0
+        self._restarts = self._time.restarts
+        self._begin()
+
+    def _begin(self) -> None:
+        self.shift_ns = 0.0
+        self._waits_since = -1
+        self._wait_ns = self._wait_from_ns = 0
+        self._leads = 0
+        self._lead_ns = self._deviation_ns = 0.0
+
+    def correct(self, t_ns: int) -> int | None:
+        """Correct the timestamp of a reading.
+
+        Parameters
+        ----------
+        t_ns : int
+            timestamp of the reading as given [ns]
+
+        Returns
+        -------
+        int or None
+            corrected timestamp [ns]; None: the reading is to be dropped
+        """
+        time = self._time
+        if time.newest_ns == 0:
+            return t_ns
+        if self._restarts != time.restarts:
+            self._restart()
+        lead_ns = float(t_ns - time.newest_ns)
+        jump_ns, self._last_ns = t_ns - self._last_ns, t_ns
+        margin_ns = time.interval_ns + DEVIATIONS * self._deviation_ns
+        ahead_ns = lead_ns - self._lead_ns
+        renewed, self._count = time.count > self._count, time.count
+        if renewed:
+            self._renewed_ns = t_ns
+        back_ns = RELEASE * self.shift_ns if self.shift_ns < 0.0 else -BACK * time.jump_ns
+        if self._leads >= MIN_LEADS and ahead_ns < back_ns:
+            if self.shift_ns < 0.0:
+                # set again; later ones are late
+                if renewed and (jump_ns < 0 or ahead_ns - self.shift_ns > margin_ns):
+                    self._shift(ahead_ns)
+                return t_ns - int(self.shift_ns)
+            return self._await(t_ns, ahead_ns, jump_ns >= 0)
+        if self._leads < MIN_LEADS or ahead_ns <= margin_ns:
+            self.shift_ns, self._waits_since = 0.0, -1
+            # timestamps that stand still or run slow are not usual: right ones later would be called ahead
+            if self._leads < MIN_LEADS or ahead_ns >= -time.interval_ns:
+                self._learn(t_ns, lead_ns)
+            return t_ns
+        if self.shift_ns > 0.0:
+            if renewed and abs(ahead_ns - self.shift_ns) > margin_ns:
+                self._shift(ahead_ns)
+            return t_ns - int(self.shift_ns)
+        goes_on = self._waits_since < 0 and jump_ns <= margin_ns  # then the other times are late
+        if goes_on:
+            self._learn(t_ns, lead_ns)
+        return self._await(t_ns, ahead_ns, goes_on)
+
+    def _await(self, t_ns: int, ahead_ns: float, goes_on: bool) -> int | None:
+        """Drop readings with timestamps that jumped until other times confirm the jump, then shift them."""
+        if not -BACK * self._time.jump_ns <= self._lead_ns <= self._time.timeout_ns:
+            self._begin()  # usual timestamps are of no use: these may be right
+            return t_ns
+        if self._waits_since < 0:
+            if goes_on:
+                return t_ns
+            self._waits_since = self._time.count
+            self._wait_ns, self._wait_from_ns = t_ns, self._time.newest_ns
+        if self._time.count < self._waits_since + CONFIRMING_TIMES:
+            return None
+        self._shift(ahead_ns)
+        self._waits_since = -1
+        return t_ns - int(self.shift_ns)
+
+    @property
+    def time_of_drop_ns(self) -> int:
+        """Time at the dropped reading [ns]: its timestamp may be wrong, but time goes on while poses stop."""
+        elapsed_ns = max(self._last_ns - self._wait_ns, 0)
+        return max(self._wait_from_ns + elapsed_ns, self._time.newest_ns)
+
+    def _shift(self, ahead_ns: float) -> None:
+        """Shift timestamps to the mean lead."""
+        self.shift_ns = ahead_ns - math.fmod(ahead_ns, self._time.quantum_ns)
+
+    def _learn(self, t_ns: int, lead_ns: float) -> None:
+        """Update the mean lead, unless the other times stopped: then every reading leads them farther."""
+        if t_ns - self._renewed_ns > MAX_INTERVALS * self._time.interval_ns > 0.0:
+            return
+        self._leads += 1
+        rate = max(RATE, 1.0 / self._leads)
+        self._deviation_ns += rate * (abs(lead_ns - self._lead_ns) - self._deviation_ns)
+        self._lead_ns += rate * (lead_ns - self._lead_ns)
+
+
+class Offset:
+    """How far the timestamps of readings and poses are apart as long as both arrive."""
+
+    def __init__(self) -> None:
+        self._reading_ns = self._pose_ns = 0
+        self._at_reading_ns = self._at_pose_ns = 0
+
+    def note_reading(self, t_ns: int) -> None:
+        """Note the timestamp of a reading [ns]."""
+        self._reading_ns = t_ns
+        self._at_reading_ns = t_ns - self._pose_ns if self._pose_ns else 0
+
+    def note_pose(self, t_ns: int) -> None:
+        """Note the timestamp of a pose [ns]."""
+        self._pose_ns = t_ns
+        self._at_pose_ns = self._reading_ns - t_ns if self._reading_ns else 0
+
+    @property
+    def ns(self) -> int:
+        """Readings' timestamps minus poses' [ns]; 0: they enclose each other, or one of them stopped."""
+        if self._at_reading_ns > 0 and self._at_pose_ns > 0:
+            return min(self._at_reading_ns, self._at_pose_ns)
+        if self._at_reading_ns < 0 and self._at_pose_ns < 0:
+            return max(self._at_reading_ns, self._at_pose_ns)
+        return 0
+
+
+class Timestamps:
+    """Timestamps of a follower's poses, readings and other steps."""
+
+    def __init__(self) -> None:
+        self.time, self._offset = ReferenceTime(), Offset()
+        self._sensors = [ReadingStamps(self.time) for _ in range(CHANNELS)]
+
+    def reset(self) -> None:
+        """Take the next timestamps as usual; those of a clock that was set back stay corrected."""
+        self._sensors = [s if s.shift_ns < 0.0 else ReadingStamps(self.time) for s in self._sensors]
+
+    def note_pose(self, t_ns: int) -> None:
+        """Note a pose that was taken, true at a time [ns]."""
+        self.time.add(t_ns)
+        self._offset.note_pose(t_ns)
+
+    def check(self, t_ns: int, channel: int | None) -> tuple[int, bool]:
+        """The time of a step [ns], and whether its readings are to be dropped.
+
+        Parameters
+        ----------
+        t_ns : int
+            as given [ns]
+        channel : int or None
+            the first one with a reading; None: there is none
+        """
+        if channel is None:
+            self.time.add(t_ns)
+            return t_ns, False
+        sensor = self._sensors[channel]
+        found = sensor.correct(t_ns)
+        self._offset.note_reading(t_ns if found is None else found)
+        return (sensor.time_of_drop_ns, True) if found is None else (found, False)
+
+    def reason_of_shift(self) -> str:
+        """Why timestamps are shifted; "": they are not."""
+        shifts = [s.shift_ns for s in self._sensors]
+        if any(shift < 0.0 for shift in shifts):
+            return REASON_NAMES[REASON_TIMESTAMPS]
+        return AHEAD if any(shift > 0.0 for shift in shifts) else ""
+
+    def reason_of_offset(self, behind_ns: float, ahead_ns: float) -> str:
+        """Why readings and poses do not meet; "": they are apart by less than these times [ns]."""
+        if self._offset.ns > ahead_ns:
+            return READINGS_AHEAD
+        return READINGS_BEHIND if self._offset.ns < -behind_ns else ""

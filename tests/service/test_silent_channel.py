@@ -1,0 +1,19 @@
+"""A sensor of several that is dead is named by `surffollow status` of a running service."""
+
+from collections.abc import Callable
+
+from running_service import Service, drive
+
+DEAD = 'mode = "adaptive"\n[[driver.faults]]\nkind = "invalid"\nchannel = 1'
+
+
+def test_the_status_names_a_dead_sensor(make_service: Callable[..., Service]) -> None:
+    service = make_service(kind="simulated", driver="channels = 2", follow=DEAD).start()
+    with service.attach() as client:
+
+        def named() -> bool:
+            return bool(client.status()["follower"].get("reason", "").endswith("count (channel 1)"))
+
+        drive(client, lambda: client.dev_vector().valid and named(), what="the reason")
+        shown = service.run("status").stdout
+    assert "SUSPECT (some sensors give no reading within the window; the others count (channel 1))" in shown
