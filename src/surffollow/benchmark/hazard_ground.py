@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from surffollow.benchmark.families import hull, lap_joints, terrain
 from surffollow.benchmark.hazard_scenarios import (
+    BEGIN_S,
+    KINDS,
     MARGIN_M,
     SECONDS,
     STEP_M,
@@ -45,9 +47,11 @@ class Ground:
 def make_ground(s: Scenario) -> Ground:
     """Make the ground of a scenario."""
     rng = np.random.default_rng([s.seed, 83])
-    x = -MARGIN_M + STEP_M * np.arange(int((SECONDS * s.speed_mps + 2.0 * MARGIN_M) / STEP_M))
+    begin_m, end_m = s.place_m(BEGIN_S), s.place_m(SECONDS)
+    x = -MARGIN_M + STEP_M * np.arange(int((max(begin_m, end_m) + 2.0 * MARGIN_M) / STEP_M))
     make: Any = (hull, lap_joints, terrain)[s.seed % 3]
-    later = make(rng, x) + s.slope * x
+    rise = np.maximum(x - begin_m, 0.0) if KINDS[s.family].rises else x
+    later = make(rng, x) + s.slope * rise
     first = later.copy()
     if s.family == "slots":  # groups of five, 2 to 6 mm wide
         for begin in np.arange(0.1, float(x[-1]), 0.15):

@@ -16,6 +16,7 @@ LEAD_M, RING_M = 0.05, 0.03
 _THIRD = 2.0 * math.pi / 3.0
 ONE = ((0.0, 0.0),)
 LEADING = ((0.0, 0.0), (LEAD_M, 0.0))
+TRAILING = ((-0.03, 0.0),)
 FOUR = ((0.0, 0.0), *((RING_M * math.cos(k * _THIRD), RING_M * math.sin(k * _THIRD)) for k in range(3)))
 
 
@@ -24,7 +25,8 @@ class Kind:
     """A family: ranges of `size_m` and `length_s`, uniform; where the sensors are [m].
 
     `signed`: the size has either sign. `passes`: 2 means there and back over the same ground.
-    `slope`: of a plane under the ground, of either sign. `interval_ms`: between readings, log-uniform.
+    `slope`: of a plane under the ground, of either sign. `rises`: it begins in the middle, and rises.
+    `interval_ms`: between readings, log-uniform. `factor`: of the speed from the middle on.
     """
 
     size_m: tuple[float, float] = (0.0, 0.0)
@@ -35,6 +37,8 @@ class Kind:
     passes: int = 1
     slope: tuple[float, float] = (0.0, 0.0)
     interval_ms: tuple[int, int] = (READING_MS, READING_MS)
+    rises: bool = False
+    factor: tuple[float, float] = (1.0, 1.0)
 
 
 KINDS = {
@@ -61,6 +65,12 @@ KINDS = {
     "all stuck": Kind((0.0, 5e-3), (0.3, 1.5), signed=True, mounts_m=FOUR),
     "all blocked": Kind((0.0, 5e-3), (0.3, 1.5), signed=True, mounts_m=FOUR),
     "one of four": Kind((0.0, 5e-3), (0.3, 1.5), signed=True, mounts_m=FOUR),
+    "trailing": Kind(mounts_m=TRAILING, slope=(0.0, 0.2), interval_ms=(READING_MS, 50), rises=True),
+    "begins to rise": Kind(slope=(0.05, 0.25), interval_ms=(READING_MS, 100), rises=True),
+    "change of speed": Kind(slope=(0.0, 0.2), factor=(-1.0, 3.0)),
+    "late stamps of four": Kind(length_s=(0.3, 1.3), late_s=(0.06, 0.15), mounts_m=FOUR),
+    "clock set back": Kind(length_s=(2.0, 2.0), late_s=(0.06, 4.0)),
+    "clock of four set back": Kind(length_s=(2.0, 2.0), late_s=(0.06, 4.0), mounts_m=FOUR),
 }
 MAX_RISE = 0.25  # between two readings, of the distance between stand-off and near limit
 FAMILIES = tuple(KINDS)
@@ -79,6 +89,13 @@ class Scenario:
     late_s: float = 0.0
     slope: float = 0.0
     interval_ms: int = READING_MS
+    then_mps: float | None = None
+
+    def place_m(self, t_s: float) -> float:
+        """Place of the tool along its way; the speed changes at once in the middle."""
+        if self.then_mps is None or t_s <= BEGIN_S:
+            return self.speed_mps * t_s
+        return self.speed_mps * BEGIN_S + self.then_mps * (t_s - BEGIN_S)
 
 
 def draw(family: str, seed: int) -> Scenario:
@@ -95,6 +112,7 @@ def draw(family: str, seed: int) -> Scenario:
     interval_ms = round(shortest * (longest / shortest) ** interval)
     if slope > 0.0:
         speed = min(speed, MAX_RISE * (STANDOFF_M - NEAR_M) / (slope * interval_ms * 1e-3))
+    then = kind.factor[0] + (kind.factor[1] - kind.factor[0]) * float(rng.random())
     return Scenario(
         family,
         seed,
@@ -102,6 +120,7 @@ def draw(family: str, seed: int) -> Scenario:
         math.copysign(low, size) + (high - low) * size,
         kind.length_s[0] + (kind.length_s[1] - kind.length_s[0]) * length,
         kind.late_s[0] + (kind.late_s[1] - kind.late_s[0]) * late,
-        -slope if falls < 0.5 else slope,
+        -slope if falls < 0.5 and not kind.rises else slope,
         interval_ms,
+        None if kind.factor == (1.0, 1.0) else then * speed,
     )

@@ -124,7 +124,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
     begin_s = turn_s + 0.3 if kind.passes == 2 else BEGIN_S
     for ms in range(int(SECONDS * 1e3) * kind.passes):
         t, later = ms * 1e-3, ms * 1e-3 >= turn_s
-        x = s.speed_mps * (t if not later else 2.0 * turn_s - t)
+        x = s.place_m(t if not later else 2.0 * turn_s - t)
         height = axis[0] - ground.height_m(x, later)
         # a tool that turns to the normal keeps its distance from the nearest ground
         clearance = ground.distance_m(x, axis[0], later) if n > 2 else height

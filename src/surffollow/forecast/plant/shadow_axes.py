@@ -34,7 +34,7 @@ def compared_lag_s(adaptive: Any) -> Any:
 def uncompared_m(adaptive: Any) -> Any:
     """Part of the distance by which the sensor trails that the tool does not travel in MAX_LAG_S [m].
 
-    The setpoints of the shadow axes leave it out: they are for so much less than the distance ahead.
+    No model is extrapolated over it, as no shadow axis shows how well that would do.
     """
     return max(-adaptive.sample.lead_m - adaptive.kinematics.speed_mps * MAX_LAG_S, 0.0)
 

@@ -71,7 +71,8 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
 
     The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
     fade over `dropout_travel_m`, a step away from the tool that was confirmed just before is taken back, and
-    the setpoint descends no farther than that of the last sample less a margin.
+    the setpoint descends no farther than that of the last sample less a margin. The ground is level over the
+    part of a sensor's trail that is not compared (`uncompared_m`).
     While the tool goes back since the newest sample, the height at that sample is held.
 
     Parameters
@@ -89,6 +90,7 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     clock, kinematics, gate = adaptive.clock, adaptive.kinematics, adaptive.gate
     estimate, blend = adaptive.estimate, adaptive.blend
     dropout = dropout_s(adaptive)
+    ahead_m = max(ahead_m - uncompared_m(adaptive), 0.0)
     lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(kinematics.speed_mps * dropout, ahead_m)
@@ -113,9 +115,6 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     else:
         blend.tracked_m = z
     if due:
-        left_out_m = uncompared_m(adaptive)
-        if left_out_m > 0.0:
-            compute_setpoints(adaptive, max(ahead_m - left_out_m, 0.0), lead_length_m, max_slope, standoff_m)
         record_setpoints(adaptive)
         begin_period(adaptive.controller, clock.now_ns)
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, rate_mps, clock.now_ns
