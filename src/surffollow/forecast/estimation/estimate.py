@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from surffollow.forecast.estimation.innovation_gate import (
+    INNER_GATE,
     accept_sample,
     discard_slots,
     gate_width,
@@ -278,6 +279,9 @@ def update_estimate(
     r = max(noise.sigma_m, MIN_NOISE_M) ** 2
     update_bank(bank, h_m, r)
     blend_models(adaptive)
+    nearer_m = h_m - estimate.height_m
+    if nearer_m > INNER_GATE * gate_width(params, gate):  # the models follow too slowly
+        withhold_sample(gate, nearer_m, INITIAL_PLAUSIBLE_SLOPE * travel)
     estimate.slope_power += (1.0 - math.exp(-travel / SLOPE_POWER_LENGTH_M)) * (
         estimate.slope * estimate.slope - estimate.slope_power
     )
