@@ -153,6 +153,28 @@ def test_level_ground_that_begins_to_rise_under_a_slow_sensor(sensor_hz, speed_m
     assert own > plain - 0.05 * job.standoff_m
 
 
+@pytest.mark.parametrize("range_late_ms", [0, 10])
+def test_a_slow_sensor_whose_tool_turns_between_two_samples(range_late_ms):
+    """GIVEN ridges under a sensor of 5 Hz WHEN the tool goes to and fro THEN it keeps away from them.
+
+    The momentary speed was taken for the whole interval. It is near 0 in the turn, and the slope was ±1.
+    """
+    t = 1e-3 * np.arange(6000)
+    wanted = 0.307 * np.sign(np.sin(2.0 * np.pi * t / 3.797))
+    speeds = np.zeros(len(t))
+    for i in range(1, len(t)):
+        speeds[i] = np.clip(wanted[i], speeds[i - 1] - 1.24e-3, speeds[i - 1] + 1.24e-3)
+    places = 0.25 + np.cumsum(speeds) * 1e-3
+    heights = 0.257 * np.abs((places - 0.3) % (2 * 0.746) - 0.746)
+    job = Job(sensor_hz=5)
+    plain, own = (
+        clearances_m(job, f, 1, places, heights, range_late_ms=range_late_ms).min()
+        for f in (None, job.follower())
+    )
+    print(f"least clearance {1e3 * own:.1f} mm, P loop {1e3 * plain:.1f} mm")
+    assert own > 0.5 * job.standoff_m  # contact before
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_single_reading_that_no_ground_explains_does_not_raise_the_tool(seed):
     """GIVEN a sensor of 20 Hz at 0.1 m/s WHEN one reading is 20 mm too near THEN the tool stays."""

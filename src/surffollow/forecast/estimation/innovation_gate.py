@@ -110,6 +110,12 @@ def withhold_sample(gate: Any, innovation_m: Any, plausible_m: Any) -> None:
 
 
 @jit
+def is_slow(adaptive: Any) -> Any:
+    """Whether the sensor's interval is longer than τ/2: a second sample comes late."""
+    return adaptive.prediction.interval_s > CONFIRMATION_TAUS * adaptive.plant.tau_s
+
+
+@jit
 def raised_by_withheld(adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
     """Setpoint, raised for a nearer sample of a slow sensor that waits for a second one [m].
 
@@ -120,8 +126,7 @@ def raised_by_withheld(adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
     standoff_m : float64  desired height of the tool above the ground [m]
     """
     gate = adaptive.gate
-    slow = adaptive.prediction.interval_s > CONFIRMATION_TAUS * adaptive.plant.tau_s
-    if gate.withheld_m == 0.0 or not slow:
+    if gate.withheld_m == 0.0 or not is_slow(adaptive):
         return target_m
     return max(target_m, adaptive.estimate.height_m + gate.withheld_m + standoff_m)
 

@@ -5,6 +5,7 @@ range → pose at the range's timestamp → footprint → latency, health, plane
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from surffollow.forecast.attitude.beam_detection import any_beam_changed, observe_beams
@@ -12,6 +13,7 @@ from surffollow.forecast.attitude.plane_fit import plane_height
 from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation
 from surffollow.forecast.estimation.adaptation import update_deadband
 from surffollow.forecast.estimation.estimate import discard_estimate, update_estimate
+from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.fold_back import watch_fold_back
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.sensing.health import (
@@ -155,6 +157,8 @@ def process_sample(
         ) / kinematics.speed_mps
         sample.lead_m += (lead - sample.lead_m) * (LEAD_RATE if estimate.samples > 0 else 1.0)
     travel = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
+    if estimate.samples > 0 and is_slow(adaptive):  # the tool may have turned since the sample before
+        travel = max(travel, math.hypot(x - sample.x_m, y - sample.y_m))
     standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
     sample.spacing_m += SPACING_RATE * (travel - sample.spacing_m)
     sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + travel
