@@ -140,6 +140,17 @@ def test_timestamps_that_go_back_are_corrected_and_reported(mounts):
     assert seen[-1] == ""
 
 
+@pytest.mark.parametrize("seed", [0, 2, 3, 5])
+def test_a_leading_sensor_shares_the_correction_of_timestamps(seed):
+    """GIVEN hull or terrain WHEN both sensors stamp 100 ms too early for 0.8 s THEN it costs no clearance."""
+    right, late = (
+        play(follower(LEADING), Scenario("leading wrong", seed, 0.16, 0.0, 0.8, late_s)).clearance_m
+        for late_s in (0.0, 0.1)
+    )
+    print(f"least clearance {1e3 * late:.2f} mm, with right timestamps {1e3 * right:.2f} mm")
+    assert late > right - 0.3e-3
+
+
 def test_one_timestamp_in_the_future_does_not_shift_those_that_follow():
     f = follower()
     speed, slope = 0.2, 0.1
