@@ -153,6 +153,29 @@ def test_level_ground_that_begins_to_rise_under_a_slow_sensor(sensor_hz, speed_m
     assert own > plain - 0.05 * job.standoff_m
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    ("sensor_hz", "speed_mps", "slope"), [(8, 0.35, 0.29), (10, 0.3, 0.3), (5, 0.2, 0.25)]
+)
+def test_a_slope_under_a_slow_sensor_from_the_first_sample_on(sensor_hz, speed_mps, slope, seed):
+    """GIVEN models that are level at first WHEN accepted samples are nearer THEN the tool rises."""
+    job = Job(sensor_hz=sensor_hz, speed_mps=speed_mps, slope=slope, seconds=2.0)
+    plain, own = (job.clearances_m(f, seed).min() for f in (None, job.follower()))
+    print(f"least clearance {1e3 * own:.1f} mm, P loop {1e3 * plain:.1f} mm")
+    assert own > plain - 2e-3
+
+
+@pytest.mark.parametrize(("amplitude_m", "wavelength_m"), [(0.01, 0.3), (0.02, 0.6)])
+def test_a_long_trail_is_not_extrapolated_farther_than_was_compared(amplitude_m, wavelength_m):
+    """GIVEN a trail of 60 mm at 0.05 m/s WHEN the ground is wavy THEN the error is below that of a P loop."""
+    job = Job(mount_m=-0.06)
+    places = 0.05e-3 * np.arange(18_000)
+    heights = amplitude_m * np.sin(2.0 * math.pi / wavelength_m * places)
+    plain, own = (clearances_m(job, f, 1, places, heights)[4500:].std() for f in (None, job.follower()))
+    print(f"standard deviation of the clearance {1e3 * own:.2f} mm, P loop {1e3 * plain:.2f} mm")
+    assert own < 0.76 * plain  # 0.80 and more over the whole trail
+
+
 @pytest.mark.parametrize("range_late_ms", [0, 10])
 def test_a_slow_sensor_whose_tool_turns_between_two_samples(range_late_ms):
     """GIVEN ridges under a sensor of 5 Hz WHEN the tool goes to and fro THEN it keeps away from them.

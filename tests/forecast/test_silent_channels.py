@@ -20,8 +20,13 @@ SILENT = REASON_NAMES[REASON_SILENT]
 NO_READING = "no reading for several sample intervals"
 
 
-def follow(places, dead=(), lost=math.nan, dead_from_s=0.0, seconds=1.5, intervals=None, stretch=1.0):
-    """A follower over flat ground, and what it says per millisecond; `intervals` [ms] per channel."""
+def follow(
+    places, dead=(), lost=math.nan, dead_from_s=0.0, seconds=1.5, intervals=None, stretch=1.0, alive_s=None
+):
+    """A follower over flat ground, and what it says per millisecond; `intervals` [ms] per channel.
+
+    Dead channels are alive again in the span `alive_s`.
+    """
     f = Follower(
         {
             "sensors": [{"position_m": [x, y, 0.0]} for x, y in places],
@@ -30,6 +35,7 @@ def follow(places, dead=(), lost=math.nan, dead_from_s=0.0, seconds=1.5, interva
         offset_m=0.1,
     )
     rng, said = np.random.default_rng(1), []
+    alive = range(*(round(1e3 * t) for t in alive_s)) if alive_s else ()
     for ms in range(round(1e3 * seconds)):
         t_ns = round(ms * MS * stretch)
         if ms % 10 == 0:
@@ -39,7 +45,7 @@ def follow(places, dead=(), lost=math.nan, dead_from_s=0.0, seconds=1.5, interva
             for c in range(len(places)):
                 if intervals is not None and ms % intervals[c]:
                     ranges[c] = math.nan
-                elif c in dead and ms >= 1e3 * dead_from_s:
+                elif c in dead and ms >= 1e3 * dead_from_s and ms not in alive:
                     ranges[c] = lost
             f.step(t_ns, ranges)
         state = f.state()
@@ -130,3 +136,12 @@ def test_a_reason_of_another_version_is_a_question_mark():
     assert reason_text(len(REASON_NAMES)) == "?"
     assert reason_text(-1) == "?"
     assert reason_text(REASON_SILENT | 1 << REASON_CHANNELS + 7) == f"{SILENT} (channel 7)"
+
+
+def test_a_slow_channel_that_was_silent_for_long_is_named_as_soon_the_second_time():
+    """GIVEN a channel of 10 Hz that was dead for 2 s WHEN it dies again THEN it is named."""
+    _, said = follow(
+        RING, dead=[2], dead_from_s=0.5, seconds=3.5, intervals=[4, 4, 100, 4], alive_s=(2.5, 2.95)
+    )
+    assert said[2850][1] == ""
+    assert said[3400][1] == f"{SILENT} (channel 2)"

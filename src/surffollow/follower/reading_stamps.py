@@ -184,7 +184,7 @@ class ReadingStamps:
 
     @property
     def time_of_drop_ns(self) -> int:
-        """Time at the dropped reading [ns]: its timestamp may be wrong, but time goes on while poses stop."""
+        """Time at the dropped reading [ns]: its timestamp may be wrong, but time passes while poses stop."""
         elapsed_ns = max(self._last_ns - self._wait_ns, 0)
         return max(self._wait_from_ns + elapsed_ns, self._time.newest_ns)
 

@@ -6,8 +6,7 @@ what compiles it. numba's own cache looks at the kernel's file alone.
 
 Each signature has a file, named by a hash of all that tells it apart from others. The file begins with
 that hash and one of its content: what was damaged, or is another signature's, is as good as none. A file
-appears complete or not at all. So processes need neither lock nor index, whatever they do at once and
-whenever they die.
+appears complete or not at all. So concurrent processes need neither lock nor index, whenever they end.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from numba.core.registry import cpu_target
 from surffollow.shm.cache_directory import cache_directory, make_private
 from surffollow.shm.source_stamp import PACKAGE, path_in_package, source_stamp
 
-# settings of numba's that are compiled into a kernel; processor and features are told apart by numba
+# settings of numba's that are compiled into a kernel; numba distinguishes processor and features itself
 OPTIONS = (
     *("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "EXTEND_VARIABLE_LIFETIMES", "LOOP_VECTORIZE"),
     *("SLP_VECTORIZE", "USING_SVML", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS", "NRT_STATS", "DEBUG_NRT"),

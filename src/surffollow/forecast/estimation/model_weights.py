@@ -97,7 +97,6 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
     if adaptive.sample.lead_m > MIN_LEAD_M:
         variance_share = 0.0  # the buffered heights are followed, not the models
     ahead_m = adaptive.kinematics.speed_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
-    ahead_m += max(-adaptive.sample.lead_m, 0.0)
     chance = noise_part * noise_part * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * progress)
     rough = (1.0 - noise_part) * (1.0 - noise_part)
     effort_power = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * noise_part * noise_part * (

@@ -55,7 +55,7 @@ def propagate_shadows(params: Any, adaptive: Any, t_ns: Any) -> Any:
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`shadow` updated)
-    t_ns : int64  the time; not possible before the time of the axes or that of the oldest setpoints kept
+    t_ns : int64  the time; not possible before that of the axes
     """
     shadow, controller = adaptive.shadow, adaptive.controller
     from_ns, k = shadow.t_ns, oldest_period(controller)
@@ -65,8 +65,6 @@ def propagate_shadows(params: Any, adaptive: Any, t_ns: Any) -> Any:
     shadow.t_ns = t_ns
     if controller.periods == 0:
         return 1
-    if t_ns < controller.latch_ns[k & (N_PERIODS - 1)]:
-        return 0
     if span > MAX_AXIS_GAP_NS:
         slot = period_at(controller, k, t_ns) & (N_PERIODS - 1)
         for i in range(N_MODELS):
