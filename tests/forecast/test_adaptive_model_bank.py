@@ -90,6 +90,26 @@ def test_looking_ahead_is_predicting(i):
     assert slope == pytest.approx(bank.model_slope(i, b), abs=1e-12)
 
 
+def test_a_reversed_bank_goes_back_over_the_same_ground():
+    """GIVEN updated models WHEN the direction is reversed THEN both extrapolate the same heights."""
+    rng, b = np.random.default_rng(7), fresh_bank()
+    for _ in range(40):
+        bank.propagate_bank(b, rng.uniform(0.0, 3e-3))
+        bank.update_bank(b, 0.01 + 0.002 * rng.standard_normal(), 1e-7)
+    back = b.copy()
+    bank.reverse_bank(back)
+    for d in (-0.02, -1e-3, 0.0, 1e-3, 0.02):
+        bank.extrapolate_bank(b, d)
+        bank.extrapolate_bank(back, -d)
+        used = slice(bank.N_MODELS)
+        assert back["rise_m"][used] == pytest.approx(b["rise_m"][used], abs=1e-12)
+        assert back["slope_ahead"][used] == pytest.approx(-b["slope_ahead"][used], abs=1e-12)
+    assert np.all(np.linalg.eigvalsh([covariance_of(back, i) for i in range(bank.N_MODELS)]) > -1e-12)
+    bank.reverse_bank(back)
+    for name in ("x1", "x2", "p01", "p02", "p12"):
+        assert np.array_equal(back[name], b[name])
+
+
 def test_the_assumed_axis_is_the_simulated_one():
     for d in np.linspace(-0.03, 0.03, 61):
         assert axis_velocity(d, 0.04, 2.0) == pytest.approx(sqrt_velocity(d, 25.0, 2.0, 1e-6), rel=1e-12)

@@ -47,10 +47,11 @@ class Ground:
 def make_ground(s: Scenario) -> Ground:
     """Make the ground of a scenario."""
     rng = np.random.default_rng([s.seed, 83])
-    begin_m, end_m = s.place_m(BEGIN_S), s.place_m(SECONDS)
-    x = -MARGIN_M + STEP_M * np.arange(int((max(begin_m, end_m) + 2.0 * MARGIN_M) / STEP_M))
+    begin_m, turn_m = s.place_m(BEGIN_S), s.place_m(SECONDS if s.turn_s is None else s.turn_s)
+    x = -MARGIN_M + STEP_M * np.arange(int((max(begin_m, turn_m) + 2.0 * MARGIN_M) / STEP_M))
     make: Any = (hull, lap_joints, terrain)[s.seed % 3]
-    rise = np.maximum(x - begin_m, 0.0) if KINDS[s.family].rises else x
+    kind = KINDS[s.family]
+    rise = np.maximum(x - begin_m, 0.0) if kind.rises else np.abs(x - begin_m) if kind.valley else x
     later = make(rng, x) + s.slope * rise
     first = later.copy()
     if s.family == "slots":  # groups of five, 2 to 6 mm wide

@@ -12,11 +12,13 @@ SIGMA_M, COUNT_M = 0.25e-3, 25e-6
 READING_MS, TICK_MS, LATE_MS, POSE_LATE_MS = 4, 10, 30, 10
 SECONDS, BEGIN_S = 4.0, 2.0
 MARGIN_M, STEP_M = 0.1, 0.5e-3
+TURN_SHARPNESS = 0.9  # 1: the speed changes its sign at once
 LEAD_M, RING_M = 0.05, 0.03
 _THIRD = 2.0 * math.pi / 3.0
 ONE = ((0.0, 0.0),)
 LEADING = ((0.0, 0.0), (LEAD_M, 0.0))
 TRAILING = ((-0.03, 0.0),)
+FAR_BEHIND = ((-0.075, 0.0),)
 FOUR = ((0.0, 0.0), *((RING_M * math.cos(k * _THIRD), RING_M * math.sin(k * _THIRD)) for k in range(3)))
 
 
@@ -25,8 +27,10 @@ class Kind:
     """A family: ranges of `size_m` and `length_s`, uniform; where the sensors are [m].
 
     `signed`: the size has either sign. `passes`: 2 means there and back over the same ground.
-    `slope`: of a plane under the ground, of either sign. `rises`: it begins in the middle, and rises.
+    `slope`: of a plane under the ground, of either sign. `rises`: it begins in the middle, and rises;
+    `valley`: it falls until the middle, and rises from there.
     `interval_ms`: between readings, log-uniform. `factor`: of the speed from the middle on.
+    `turn_s`: the tool turns back every so often.
     """
 
     size_m: tuple[float, float] = (0.0, 0.0)
@@ -38,7 +42,9 @@ class Kind:
     slope: tuple[float, float] = (0.0, 0.0)
     interval_ms: tuple[int, int] = (READING_MS, READING_MS)
     rises: bool = False
+    valley: bool = False
     factor: tuple[float, float] = (1.0, 1.0)
+    turn_s: tuple[float, float] | None = None
 
 
 KINDS = {
@@ -71,6 +77,10 @@ KINDS = {
     "late stamps of four": Kind(length_s=(0.3, 1.3), late_s=(0.06, 0.15), mounts_m=FOUR),
     "clock set back": Kind(length_s=(2.0, 2.0), late_s=(0.06, 4.0)),
     "clock of four set back": Kind(length_s=(2.0, 2.0), late_s=(0.06, 4.0), mounts_m=FOUR),
+    "turns": Kind(slope=(0.05, 0.35), interval_ms=(READING_MS, 250), turn_s=(0.5, 2.0)),
+    "valley far behind": Kind(
+        mounts_m=FAR_BEHIND, slope=(0.0, 0.3), interval_ms=(READING_MS, 50), valley=True
+    ),
 }
 MAX_RISE = 0.25  # between two readings, of the distance between stand-off and near limit
 FAMILIES = tuple(KINDS)
@@ -90,9 +100,13 @@ class Scenario:
     slope: float = 0.0
     interval_ms: int = READING_MS
     then_mps: float | None = None
+    turn_s: float | None = None
 
     def place_m(self, t_s: float) -> float:
         """Place of the tool along its way; the speed changes at once in the middle."""
+        if self.turn_s is not None:
+            phase = math.asin(-TURN_SHARPNESS * math.cos(math.pi * t_s / self.turn_s))
+            return self.speed_mps * self.turn_s / math.pi * (phase + math.asin(TURN_SHARPNESS))
         if self.then_mps is None or t_s <= BEGIN_S:
             return self.speed_mps * t_s
         return self.speed_mps * BEGIN_S + self.then_mps * (t_s - BEGIN_S)
@@ -120,7 +134,8 @@ def draw(family: str, seed: int) -> Scenario:
         math.copysign(low, size) + (high - low) * size,
         kind.length_s[0] + (kind.length_s[1] - kind.length_s[0]) * length,
         kind.late_s[0] + (kind.late_s[1] - kind.late_s[0]) * late,
-        -slope if falls < 0.5 and not kind.rises else slope,
+        -slope if falls < 0.5 and not (kind.rises or kind.valley) else slope,
         interval_ms,
         None if kind.factor == (1.0, 1.0) else then * speed,
+        None if kind.turn_s is None else float(rng.uniform(*kind.turn_s)),
     )

@@ -110,7 +110,7 @@ def target_of_blend(
     ----------
     params, adaptive, inputs : records of `Params`, `AdaptiveState` (updated), `Inputs`
     pose_t_ns : int64     timestamp of the newest pose
-    ahead_m : float64     distance from `distance_ahead` [m]; negative ones count as 0
+    ahead_m : float64     distance from `distance_ahead` [m]
     standoff_m : float64  desired height of the tool above the ground [m]
 
     Returns
@@ -120,7 +120,7 @@ def target_of_blend(
     clock, blend = adaptive.clock, adaptive.blend
     due = period_is_due(adaptive.controller, inputs.n_ranges, clock.now_ns)
     if due != 0 or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
-        target = blend_setpoints(params, adaptive, pose_t_ns, max(ahead_m, 0.0), standoff_m, due)
+        target = blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
     else:
         target = blend.setpoint_m + blend.rate_mps * (clock.now_ns - blend.t_ns) * 1e-9
     return target, due

@@ -25,14 +25,11 @@ from surffollow.forecast.estimation.model_bank import (
     model_slope,
     propagate_bank,
     reset_bank,
+    reverse_bank,
     shift_bank,
     update_bank,
 )
-from surffollow.forecast.estimation.model_weights import (
-    reset_index,
-    update_index,
-    update_weights,
-)
+from surffollow.forecast.estimation.model_weights import reset_index, update_index, update_weights
 from surffollow.forecast.estimation.noise import (
     INITIAL_NOISE_M,
     MIN_NOISE_M,
@@ -175,6 +172,13 @@ def confirm_step(params: Any, adaptive: Any) -> None:
         slot = k & (PENDING_HEIGHTS - 1)
         store_ground(adaptive, gate.kept_arc_length_m[slot], gate.kept_height_m[slot])
     register_step(params, gate, estimate.sample_ns)
+
+
+@jit
+def reverse_estimate(adaptive: Any) -> None:
+    """Reverse the direction of travel: the tool goes back."""
+    reverse_bank(adaptive.bank)
+    adaptive.estimate.slope = -adaptive.estimate.slope
 
 
 @jit

@@ -152,16 +152,29 @@ def model_slope(i: Any, bank: Any) -> Any:
 
 
 @jit
+def reverse_bank(bank: Any) -> None:
+    """Reverse the direction of travel: slopes, and sines of waves, change their sign."""
+    for i in range(WAVES):
+        bank.x1[i], bank.p01[i], bank.p12[i] = -bank.x1[i], -bank.p01[i], -bank.p12[i]
+    for i in range(WAVES, N_MODELS):
+        bank.x2[i], bank.p02[i], bank.p12[i] = -bank.x2[i], -bank.p02[i], -bank.p12[i]
+
+
+@jit
 def extrapolate_bank(bank: Any, d: Any) -> None:
-    """Change of height up to d [m] ahead, and slope there, by all models: `rise_m`, `slope_ahead`."""
-    compute_transition(bank, d)
+    """Change of height up to d [m] ahead, and slope there, by all models: `rise_m`, `slope_ahead`.
+
+    Where d is negative, slopes and curvatures decay backwards as they do forwards.
+    """
+    compute_transition(bank, abs(d))
+    sign = math.copysign(1.0, d)
     for i in range(N_SLOPES):
-        bank.rise_m[i], bank.slope_ahead[i] = bank.f1[i] * bank.x1[i], bank.f0[i] * bank.x1[i]
+        bank.rise_m[i], bank.slope_ahead[i] = sign * bank.f1[i] * bank.x1[i], bank.f0[i] * bank.x1[i]
     for i in range(N_SLOPES, WAVES):
         x1, x2, g = bank.x1[i], bank.x2[i], bank.f1[i]
-        bank.rise_m[i], bank.slope_ahead[i] = d * x1 + SCALE[i] * (d - g) * x2, x1 + g * x2
+        bank.rise_m[i], bank.slope_ahead[i] = d * x1 + SCALE[i] * (abs(d) - g) * x2, x1 + sign * g * x2
     for i in range(WAVES, N_MODELS):
-        cs, sn, x1, x2 = bank.f0[i], bank.f1[i], bank.x1[i], bank.x2[i]
+        cs, sn, x1, x2 = bank.f0[i], sign * bank.f1[i], bank.x1[i], bank.x2[i]
         bank.rise_m[i], bank.slope_ahead[i] = cs * x1 + sn * x2 - x1, SCALE[i] * (cs * x2 - sn * x1)
 
 

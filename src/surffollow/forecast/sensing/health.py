@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from surffollow.forecast.attitude.rotation_response import has_failed
@@ -37,7 +38,8 @@ DROPOUT_NS = 50_000_000  # no sample for so long beyond the usual delay …
 DROPOUT_INTERVALS = 2.5  # … or for so many usual intervals of a slow sensor …
 MAX_DROPOUT_S = 1.0  # … but no longer than this
 INTERVAL_READINGS = 8  # readings over which the usual interval of a channel's readings is averaged
-WINDOW_EDGE_M = 0.003  # a loss that began so near an end of the window is OUT_OF_RANGE
+# a loss that began so near an end of the window, or as near as the next sample may be, is OUT_OF_RANGE
+WINDOW_EDGE_M = 0.003
 STUCK_SAMPLES = 50  # equal samples …
 STUCK_S, STUCK_MIN_SAMPLES = 0.4, 8.0  # … or, of a slow sensor, for so long, and at least so many …
 STUCK_TRAVEL_M = 0.005  # … while the tool moves so far along z are a stuck-at fault
@@ -226,8 +228,9 @@ def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
     elif stuck != 0:
         candidate, reason = STUCK, REASON_STUCK
     elif estimate.samples == 0 or is_dropout(adaptive):
-        edge = min(hold.range_m - params.range_min_m, params.range_max_m - hold.range_m)
-        if estimate.samples > 0 and edge < WINDOW_EDGE_M:
+        edge_m = min(hold.range_m - params.range_min_m, params.range_max_m - hold.range_m)
+        reached_m = WINDOW_EDGE_M + math.sqrt(estimate.slope_power) * adaptive.sample.spacing_m
+        if estimate.samples > 0 and edge_m < reached_m:
             candidate, reason = OUT_OF_RANGE, REASON_OUTSIDE
         else:
             candidate, reason = DROPOUT, REASON_NO_READING

@@ -12,7 +12,7 @@ from surffollow.forecast.attitude.beam_detection import any_beam_changed, observ
 from surffollow.forecast.attitude.plane_fit import plane_height
 from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation
 from surffollow.forecast.estimation.adaptation import update_deadband
-from surffollow.forecast.estimation.estimate import discard_estimate, update_estimate
+from surffollow.forecast.estimation.estimate import discard_estimate, reverse_estimate, update_estimate
 from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.fold_back import watch_fold_back
 from surffollow.forecast.pose import footprint, rotate
@@ -158,14 +158,11 @@ def process_sample(
         sample.lead_m += (lead - sample.lead_m) * (LEAD_RATE if estimate.samples > 0 else 1.0)
     travel = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
     if estimate.samples > 0 and is_slow(adaptive):  # the tool may have turned since the sample before
-        travel = max(travel, math.hypot(x - sample.x_m, y - sample.y_m))
+        travel = math.hypot(x - sample.x_m, y - sample.y_m)
+    follow_heading(adaptive, x, y)
     standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
     sample.spacing_m += SPACING_RATE * (travel - sample.spacing_m)
     sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + travel
-    sample.heading_x = sample.heading_y = 0.0
-    if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
-        sample.heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
-        sample.heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
     if compare_lookahead(adaptive, sample.arc_length_m, z) != 0:
         withdraw_preview(adaptive.preview)
     entered = update_estimate(params, adaptive, t, travel, z, standoff, adapt)
@@ -186,10 +183,31 @@ def process_sample(
 
 @jit
 def has_turned_back(adaptive: Any) -> Any:
-    """1 when the tool goes back since the newest sample: that slope says nothing about the ground ahead."""
+    """1 when the tool goes back, against the heading of the newest sample."""
     kinematics, sample = adaptive.kinematics, adaptive.sample
     along = kinematics.velocity_x_mps * sample.heading_x + kinematics.velocity_y_mps * sample.heading_y
     return 1 if along < -MIN_DIRECTION_SPEED_MPS else 0
+
+
+@jit
+def follow_heading(adaptive: Any, x_m: Any, y_m: Any) -> None:
+    """Take the heading of the tool as that of the sample; reverse the bank where the footprints go back.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (updated)
+    x_m, y_m : float64  the footprint; `sample` has the one before
+    """
+    kinematics, sample = adaptive.kinematics, adaptive.sample
+    if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
+        return
+    if has_turned_back(adaptive) != 0:
+        if (x_m - sample.x_m) * sample.heading_x + (y_m - sample.y_m) * sample.heading_y >= 0.0:
+            return  # the footprint is still ahead of the one before
+        reverse_estimate(adaptive)
+        sample.lead_m = -sample.lead_m
+    sample.heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
+    sample.heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
 
 
 @jit

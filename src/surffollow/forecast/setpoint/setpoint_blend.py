@@ -7,6 +7,7 @@ from typing import Any
 
 from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
+    WAVES,
     extrapolate_bank,
     model_height,
 )
@@ -43,7 +44,8 @@ def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, 
     """Setpoints of all models at `ahead_m` beyond the newest footprint; returns their blend [m].
 
     A model adds its slope times `lead_m`. The change of height is clamped to `max_slope` of the
-    distance, plus 1 mm.
+    distance, plus 1 mm. Over the trail of a sensor falling ground may rise again unseen: slopes and
+    curves count as level there, waves rise by themselves.
 
     Parameters
     ----------
@@ -55,11 +57,16 @@ def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, 
     """
     bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
     extrapolate_bank(bank, ahead_m)
-    margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + lead_m)
+    margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + abs(lead_m))
+    trail_m = min(max(-adaptive.sample.lead_m, 0.0), max(ahead_m, 0.0))
+    trail_share = trail_m / (ahead_m + lead_m) if trail_m > 0.0 else 0.0
     z = 0.0
     for i in range(N_MODELS):
         change = bank.rise_m[i] + lead_m * bank.slope_ahead[i]
-        t = model_height(i, bank) + min(max(change, -margin), margin) + standoff_m
+        change = min(max(change, -margin), margin)
+        if i < WAVES:
+            change -= min(change, 0.0) * trail_share
+        t = model_height(i, bank) + change + standoff_m
         blend.model_m[i] = t
         z += weights.weight[i] * t
     return z
@@ -73,13 +80,13 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     fade over `dropout_travel_m`, a step away from the tool that was confirmed just before is taken back, and
     the setpoint descends no farther than that of the last sample less a margin. The ground is level over the
     part of a sensor's trail that is not compared (`uncompared_m`).
-    While the tool goes back since the newest sample, the height at that sample is held.
+    While the tool goes back since the newest sample, ground ahead of it lies behind the footprint.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (updated)
     pose_ns : int64       timestamp of the newest pose
-    ahead_m : float64     distance beyond the newest footprint [m], ≥ 0
+    ahead_m : float64     distance beyond the newest footprint [m]; a sensor that leads counts as 0
     standoff_m : float64  desired height of the tool above the ground [m]
     due : int             1: a controller period begins
 
@@ -90,16 +97,17 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     clock, kinematics, gate = adaptive.clock, adaptive.kinematics, adaptive.gate
     estimate, blend = adaptive.estimate, adaptive.blend
     dropout = dropout_s(adaptive)
-    ahead_m = max(ahead_m - uncompared_m(adaptive), 0.0)
+    turned = has_turned_back(adaptive)
+    ahead_m = ahead_m if turned != 0 else max(ahead_m - uncompared_m(adaptive), 0.0)
     lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
-        dropout_m = min(kinematics.speed_mps * dropout, ahead_m)
+        dropout_m = min(kinematics.speed_mps * dropout, max(ahead_m, 0.0))
         decay = math.exp(-dropout_m / params.dropout_travel_m)
         ahead_m += params.dropout_travel_m * (1.0 - decay) - dropout_m
         lead_length_m *= decay
-    if has_turned_back(adaptive) != 0:  # hold the height of the newest footprint
-        ahead_m = lead_length_m = 0.0
     step_m = kinematics.speed_mps * RATE_STEP_S
+    if turned != 0:  # lengths along the way of the newest sample
+        ahead_m, lead_length_m, step_m = -ahead_m, -lead_length_m, -step_m
     max_slope = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
     later = compute_setpoints(adaptive, ahead_m + step_m, lead_length_m, max_slope, standoff_m)
     z = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
