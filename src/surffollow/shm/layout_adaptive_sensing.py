@@ -5,9 +5,6 @@ from __future__ import annotations
 from surffollow.shm.schema import F64, I64, Schema
 
 BEAMS = 8
-N_TRENDS = 16  # straight lines that predict the range
-N_HORIZONS = 4  # horizons at which their errors are averaged
-SNAPSHOTS = 32  # of the lines, for predictions made earlier
 STUCK_COUNT = 1 << 40  # added to the repeat count of a stuck sensor
 
 
@@ -112,21 +109,14 @@ class Response(Schema):
 
 
 class Prediction(Schema):
-    """Predictors of the range over time (`range_prediction`)."""
+    """Predictor of the range over time (`range_prediction`)."""
 
-    range_m = F64(N_TRENDS, unit="m", doc="range of each line")
-    rate_mps = F64(N_TRENDS, unit="m/s", doc="its rate")
-    covariance = F64(N_TRENDS * 3, doc="covariances 00 01 11 in units of the reading variance")
-    error_m2 = F64(N_HORIZONS * N_TRENDS, unit="m^2", doc="squared prediction errors per horizon")
-    horizon_s = F64(N_HORIZONS, unit="s", doc="horizons")
+    level_m = F64(unit="m", doc="smoothed range")
+    trend_mps = F64(unit="m/s", doc="its rate")
     t_ns = I64(unit="ns", doc="timestamp of the newest range; 0: none")
     interval_s = F64(unit="s", doc="usual interval of samples; 0: not known")
     scale_m = F64(unit="m", doc="usual innovation")
     rejected = I64(doc="1: the newest range was rejected")
-    snapshot_range_m = F64(SNAPSHOTS * N_TRENDS, unit="m", doc="ring of earlier lines: range")
-    snapshot_rate_mps = F64(SNAPSHOTS * N_TRENDS, unit="m/s", doc="and rate")
-    snapshot_ns = I64(SNAPSHOTS, unit="ns", doc="times of the snapshots")
-    snapshots = I64(doc="snapshots so far")
 
 
 class Lookahead(Schema):

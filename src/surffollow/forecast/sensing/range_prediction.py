@@ -1,7 +1,7 @@
 """Predict the range itself over time, for logs and for horizons far beyond the controller's.
 
-A bank of damped straight lines (filters of range and rate) and "no change". Each is weighted by the errors of
-the predictions that it made 2, 5, 10 and 20 snapshots ago, at the horizon nearest to the one asked for.
+A damped trend (Gardner and McKenzie, 1985) for uneven intervals: level l and trend b, which decays with the
+time constant d. The forecast of a horizon h is l + b · d · (1 − exp(−h/d)).
 """
 
 from __future__ import annotations
@@ -9,15 +9,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import N_HORIZONS, N_TRENDS, SNAPSHOTS
 
-SNAPSHOT_NS = 90_000_000  # between snapshots, or the samples' interval if that is longer
-HORIZON_SNAPSHOTS = np.array([2, 5, 10, 20])  # horizons, in snapshots
-SCORE_RATE = 0.01  # per snapshot
-WEIGHT_POWER = 5.0  # of the inverse squared error
+# time constants of level, trend and decay, in usual intervals: the best of a grid on half of a flight's log
+LEVEL, TREND, DECAY = 0.36, 2.4, 9.0
+MIN_UNIT_S = 0.16  # in place of shorter intervals, 4 τ: their noise averages out
 INTERVAL_RATE = 0.1  # of the usual interval, per sample
 GATE_SCALES = 8.0  # in usual innovations
 SCALE_RATE = 0.05  # of the usual innovation, per sample
@@ -25,121 +21,47 @@ MIN_SCALE_M = 1e-6  # of a sensor without noise
 GAP_INTERVALS = 5.0  # usual intervals, or seconds if that is more: begin at the next range
 
 
-RATIOS = np.array([0.2, 0.6, 2.0, 8.0, 20.0])  # of rate noise to reading noise [s^-1.5]
-DAMPINGS_S = np.array([1.0, 2.5, 8.0])
-# the first line is "no change", then come all ratios with the first damping
-DAMPING_S = np.concatenate([DAMPINGS_S[:1], np.repeat(DAMPINGS_S, len(RATIOS))])
-assert len(DAMPING_S) == N_TRENDS
+@jit
+def time_unit_s(prediction: Any) -> Any:
+    """Unit of the time constants [s]."""
+    return max(prediction.interval_s, MIN_UNIT_S)
 
 
 @jit
-def damped_time(horizon_s: Any, damping_s: Any) -> Any:
+def damped_time(horizon_s: Any, decay_s: Any) -> Any:
     """Integral of a damped unit rate over a horizon [s]."""
-    return damping_s * (1.0 - math.exp(-horizon_s / damping_s))
-
-
-@jit
-def reset_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
-    """Begin all lines at a range."""
-    for k in range(N_TRENDS):
-        prediction.range_m[k], prediction.rate_mps[k] = range_m, 0.0
-        prediction.covariance[3 * k], prediction.covariance[3 * k + 1], prediction.covariance[3 * k + 2] = (
-            1.0,
-            0.0,
-            1.0,
-        )
-    prediction.t_ns = t_ns
-    prediction.rejected = 0
-    prediction.snapshots = 0
-
-
-@jit
-def score_predictions(prediction: Any, t_ns: Any, range_m: Any) -> None:
-    """Update the errors of earlier snapshots with a range, then take a snapshot."""
-    for j in range(N_HORIZONS):
-        back = prediction.snapshots - HORIZON_SNAPSHOTS[j]
-        if back < 0:
-            continue
-        slot = back & (SNAPSHOTS - 1)
-        h = (t_ns - prediction.snapshot_ns[slot]) * 1e-9
-        prediction.horizon_s[j] = (
-            h
-            if prediction.horizon_s[j] == 0.0
-            else prediction.horizon_s[j] + 0.1 * (h - prediction.horizon_s[j])
-        )
-        for k in range(N_TRENDS):
-            s = slot * N_TRENDS + k
-            e = (
-                range_m
-                - prediction.snapshot_range_m[s]
-                - prediction.snapshot_rate_mps[s] * damped_time(h, DAMPING_S[k])
-            )
-            prediction.error_m2[j * N_TRENDS + k] += SCORE_RATE * (
-                e * e - prediction.error_m2[j * N_TRENDS + k]
-            )
-    slot = prediction.snapshots & (SNAPSHOTS - 1)
-    for k in range(N_TRENDS):
-        (
-            prediction.snapshot_range_m[slot * N_TRENDS + k],
-            prediction.snapshot_rate_mps[slot * N_TRENDS + k],
-        ) = prediction.range_m[k], prediction.rate_mps[k]
-    prediction.snapshot_ns[slot] = t_ns
-    prediction.snapshots += 1
+    return decay_s * (1.0 - math.exp(-horizon_s / decay_s))
 
 
 @jit
 def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
-    """Update all lines with a range; a single outlier is rejected."""
+    """Update level, trend and interval with a range; a single outlier is rejected, a second one is a jump."""
     dt = (t_ns - prediction.t_ns) * 1e-9
     if prediction.t_ns == 0 or dt <= 0.0 or dt > GAP_INTERVALS * max(prediction.interval_s, 1.0):
-        reset_prediction(prediction, t_ns, range_m)
+        prediction.level_m, prediction.trend_mps = range_m, 0.0
+        prediction.t_ns, prediction.rejected = t_ns, 0
         return
     prediction.interval_s += (INTERVAL_RATE if prediction.interval_s > 0.0 else 1.0) * (
         dt - prediction.interval_s
     )
-    mean = prediction.range_m[0] / N_TRENDS
-    for j in range(DAMPINGS_S.size):
-        g = damped_time(dt, DAMPINGS_S[j])
-        for k in range(1 + j * RATIOS.size, 1 + (j + 1) * RATIOS.size):
-            mean += (prediction.range_m[k] + g * prediction.rate_mps[k]) / N_TRENDS
-    innovation = range_m - mean
+    unit_s = time_unit_s(prediction)
+    expected_m = prediction.level_m + prediction.trend_mps * damped_time(dt, DECAY * unit_s)
+    innovation = range_m - expected_m
     outlier = (
         abs(innovation) > GATE_SCALES * max(prediction.scale_m, MIN_SCALE_M) and prediction.scale_m > 0.0
     )
     if outlier and prediction.rejected < 1:
         prediction.rejected += 1
         return
-    shift = innovation if outlier else 0.0
     prediction.rejected = 0
     rate = SCALE_RATE if prediction.scale_m > 0.0 else 1.0
     prediction.scale_m += rate * (1.25 * abs(innovation) - prediction.scale_m)
-    prediction.range_m[0] = range_m
-    for j in range(DAMPINGS_S.size):
-        g, e = damped_time(dt, DAMPINGS_S[j]), math.exp(-dt / DAMPINGS_S[j])
-        for i in range(RATIOS.size):
-            k, q = 1 + j * RATIOS.size + i, RATIOS[i] * RATIOS[i]
-            c = 3 * k
-            r, v = prediction.range_m[k] + g * prediction.rate_mps[k] + shift, e * prediction.rate_mps[k]
-            p00, p01, p11 = (
-                prediction.covariance[c],
-                prediction.covariance[c + 1],
-                prediction.covariance[c + 2],
-            )
-            p00 += 2.0 * g * p01 + g * g * p11 + q * dt * dt * dt / 3.0
-            p01 = e * (p01 + g * p11) + 0.5 * q * dt * dt
-            p11 = e * e * p11 + q * dt
-            s = p00 + 1.0
-            k0, k1 = p00 / s, p01 / s
-            prediction.range_m[k], prediction.rate_mps[k] = r + k0 * (range_m - r), v + k1 * (range_m - r)
-            prediction.covariance[c], prediction.covariance[c + 1], prediction.covariance[c + 2] = (
-                p00 - k0 * p00,
-                p01 - k0 * p01,
-                p11 - k1 * p01,
-            )
-    prediction.t_ns = t_ns
-    last = prediction.snapshot_ns[(prediction.snapshots - 1) & (SNAPSHOTS - 1)]
-    if prediction.snapshots == 0 or t_ns - last >= SNAPSHOT_NS:
-        score_predictions(prediction, t_ns, range_m)
+    shift_m = innovation if outlier else 0.0
+    level_m = expected_m + shift_m + (1.0 - math.exp(-dt / (LEVEL * unit_s))) * (innovation - shift_m)
+    rate_mps = (level_m - shift_m - prediction.level_m) / dt
+    prediction.trend_mps *= math.exp(-dt / (DECAY * unit_s))
+    prediction.trend_mps += (1.0 - math.exp(-dt / (TREND * unit_s))) * (rate_mps - prediction.trend_mps)
+    prediction.level_m, prediction.t_ns = level_m, t_ns
 
 
 @jit
@@ -147,22 +69,7 @@ def predict_range(prediction: Any, horizon_s: Any) -> Any:
     """Range at a horizon after the newest one [m]; NaN before the first."""
     if prediction.t_ns == 0:
         return math.nan
-    j = 0
-    for i in range(1, N_HORIZONS):
-        if prediction.horizon_s[i] > 0.0 and abs(prediction.horizon_s[i] - horizon_s) < abs(
-            prediction.horizon_s[j] - horizon_s
-        ):
-            j = i
-    least = 1e300
-    for k in range(N_TRENDS):
-        least = min(least, prediction.error_m2[j * N_TRENDS + k])
-    total, weight = 0.0, 0.0
-    for k in range(N_TRENDS):
-        score = prediction.error_m2[j * N_TRENDS + k]
-        w = (least / score) ** WEIGHT_POWER if score > 0.0 and least > 0.0 else 1.0
-        total += w * (prediction.range_m[k] + prediction.rate_mps[k] * damped_time(horizon_s, DAMPING_S[k]))
-        weight += w
-    return total / weight
+    return prediction.level_m + prediction.trend_mps * damped_time(horizon_s, DECAY * time_unit_s(prediction))
 
 
 @jit
