@@ -140,6 +140,30 @@ def test_timestamps_that_go_back_are_corrected_and_reported(mounts):
     assert seen[-1] == ""
 
 
+LATER = "readings arrive later than they did: delayed, or the sensor's clock is slow"
+
+
+@pytest.mark.parametrize("mounts", [LEADING[:1], KINDS["one of four"].mounts_m])
+@pytest.mark.parametrize(
+    ("age_ms", "late"),
+    [
+        (lambda t: 0.1 * max(t - 2000, 0), True),  # a clock that runs 10 % slow
+        (lambda t: 0.03 * max(t - 2000, 0), True),
+        (lambda t: 1e-4 * t, False),  # 100 ppm
+        (lambda t: 20.0 + 20.0 * math.sin(5e-3 * t), False),  # a busy network
+        (lambda t: 150.0, False),
+    ],
+)
+def test_readings_that_arrive_later_than_they_did_are_reported(age_ms, late, mounts):
+    seen = []
+    readings = STANDOFF_M + 1e-4 * np.random.default_rng(6).standard_normal((1500, len(mounts)))
+    ages = [round(age_ms(4 * k)) for k in range(len(readings))]
+    for _, state in drive(follower(mounts), readings, stamp_ms=lambda t: t - ages[t // 4]):
+        seen.append(state["reason"])
+    assert (LATER in seen) == late
+    assert late or set(seen[300:]) == {""}
+
+
 @pytest.mark.parametrize("seed", [0, 2, 3, 5])
 def test_a_leading_sensor_shares_the_correction_of_timestamps(seed):
     """GIVEN hull or terrain WHEN both sensors stamp 100 ms too early for 0.8 s THEN it costs no clearance."""

@@ -201,6 +201,7 @@ REASON_NAMES = (
     "reported position jumped; ground known from before is not used",
     "readings do not respond to the tool's rotation; the tool does not rotate",
     "some sensors give no reading within the window; the others count",
+    "readings arrive later than they did: delayed, or the sensor's clock is slow",
 )
 (
     REASON_NONE,
@@ -216,7 +217,8 @@ REASON_NAMES = (
     REASON_POSE_JUMP,
     REASON_ROTATION,
     REASON_SILENT,
-) = range(13)
+    REASON_LATE,
+) = range(14)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

@@ -40,6 +40,7 @@ class Latency(Schema):
     """Delay of samples, and the identified error of the configured latency (`latency_identification`)."""
 
     delay_s = F64(unit="s", doc="usual delay: arrival − timestamp")
+    least_s = F64(unit="s", doc="least delay, which grows slowly; 0: not known")
     correction_s = F64(unit="s", doc="age of ranges beyond the configured latency, as identified")
     sigma_s = F64(unit="s", doc="standard deviation of the correction; 0: nothing identified yet")
     configured_ns = I64(unit="ns", doc="sensor_latency_ns that the correction belongs to")

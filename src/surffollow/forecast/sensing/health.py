@@ -7,6 +7,7 @@ from typing import Any
 
 from surffollow.forecast.attitude.rotation_response import has_failed
 from surffollow.forecast.sensing.kinematics import has_jumped
+from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
     DROPOUT,
@@ -15,6 +16,7 @@ from surffollow.shm.layout_adaptive import (
     OK,
     OUT_OF_RANGE,
     REASON_CHANNELS,
+    REASON_LATE,
     REASON_LOST,
     REASON_NO_READING,
     REASON_NONE,
@@ -246,6 +248,8 @@ def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
         candidate, reason = SUSPECT, REASON_ROTATION
     elif silent != 0:
         candidate, reason = SUSPECT, REASON_SILENT
+    elif is_late(adaptive):
+        candidate, reason = SUSPECT, REASON_LATE
     elif adaptive.gate.pending > 0:
         candidate, reason = SUSPECT, REASON_PENDING
     if candidate in (DROPOUT, OUT_OF_RANGE) or reason == REASON_SILENT:

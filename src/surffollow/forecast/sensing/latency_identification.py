@@ -24,6 +24,8 @@ MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
 RESIDUAL_LIMIT_M = 0.5e-3  # left by the regression, beyond the noise: the ground was not one spot
 DRIFT_S = 1e-3  # standard deviation of the latency's drift between two rests
 DELAY_RATE = 0.05  # of the usual delay, per sample
+LEAST_DELAY_RATE = 2e-4  # at which the least delay grows, per sample: clocks drift by 100 ppm
+LATE_TAUS = 2.0  # usual beyond least delay: ground seen so late is behind the tool, and the axis moved since
 
 
 @jit
@@ -44,14 +46,24 @@ def reset_latency(latency: Any) -> None:
 
 @jit
 def update_delay(latency: Any, delay_s: Any) -> None:
-    """Update the usual delay with that of a sample [s]."""
+    """Update the usual and the least delay with that of a sample [s]."""
     latency.delay_s += DELAY_RATE * (delay_s - latency.delay_s)
+    if latency.least_s == 0.0 or delay_s < latency.least_s:
+        latency.least_s = delay_s
+    latency.least_s += LEAST_DELAY_RATE * (delay_s - latency.least_s)
+
+
+@jit
+def is_late(adaptive: Any) -> Any:
+    """Whether samples arrive later than they did: the delay grows, or the timestamps fall behind."""
+    latency = adaptive.latency
+    return latency.delay_s - latency.least_s > LATE_TAUS * adaptive.plant.tau_s
 
 
 @jit
 def reset_delay(latency: Any) -> None:
     """Discard the usual delay."""
-    latency.delay_s = 0.0
+    latency.delay_s = latency.least_s = 0.0
 
 
 @jit
