@@ -3,10 +3,7 @@
 clock → kinematics → plant → measurement (sensing, estimation, terrain) → health → setpoint → demand
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.attitude.attitude import demand_rotation, publish_normal, release_attitude
 from surffollow.forecast.estimation.adaptation import publish_adaptation
@@ -79,7 +76,7 @@ from surffollow.shm.layout_follow import (
 
 
 @jit
-def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any:
+def distance_ahead(params, adaptive, pose, pose_t_ns):
     """Distance from the newest footprint to the point under the tool when the demand acts [m].
 
     Parameters
@@ -98,9 +95,7 @@ def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any
 
 
 @jit
-def target_of_blend(
-    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
-) -> Any:
+def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     """Blended setpoint [m], and 1 when a controller period begins.
 
     The models are blended when a sample, a pose or a controller period is new. In between the blend
@@ -127,9 +122,7 @@ def target_of_blend(
 
 
 @jit
-def plan_period(
-    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
-) -> None:
+def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     """Preview control of the controller period that begins.
 
     Parameters
@@ -159,7 +152,7 @@ def plan_period(
 
 
 @jit
-def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
+def target_of_preview(params, adaptive, target_m, standoff_m):
     """Setpoint before the limits: the filtered blend, and the plan by its share [m].
 
     A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
@@ -184,9 +177,7 @@ def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any
 
 
 @jit
-def compute_demand(
-    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any
-) -> Any:
+def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     """Demand of the adaptive mode into `output`; returns status bits.
 
     Parameters
@@ -283,7 +274,7 @@ def compute_demand(
 
 
 @jit
-def publish_estimate(params: Any, adaptive: Any, output: Any) -> None:
+def publish_estimate(params, adaptive, output):
     """Publish estimate, health and adapted parameters."""
     kinematics, health, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
     noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m

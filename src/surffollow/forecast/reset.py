@@ -1,9 +1,5 @@
 """Resets of the whole follower, and the records that each of them clears."""
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.forecast.attitude.attitude import release_attitude
 from surffollow.forecast.attitude.beam_detection import reset_beam_times
 from surffollow.forecast.attitude.plane_fit import reset_plane_time
@@ -37,7 +33,7 @@ from surffollow.shm.layout_adaptive import FAULT_CLOCK, FAULT_NOT_FINITE
 
 
 @jit
-def reset_all(params: Any, adaptive: Any) -> None:
+def reset_all(params, adaptive):
     """Begin without knowledge: the demand or the estimate is not finite."""
     latch_fault(adaptive.health, FAULT_NOT_FINITE)
     erase_estimate(adaptive.estimate)
@@ -60,7 +56,7 @@ def reset_all(params: Any, adaptive: Any) -> None:
 
 
 @jit
-def reset_surface(adaptive: Any) -> None:
+def reset_surface(adaptive):
     """SFReset: initialise with the next sample; noise, model weights, plant and terrain stay."""
     unconfirm_estimate(adaptive.estimate)
     reset_response(adaptive.response)
@@ -72,7 +68,7 @@ def reset_surface(adaptive: Any) -> None:
 
 
 @jit
-def reset_timestamps(adaptive: Any) -> None:
+def reset_timestamps(adaptive):
     """Follow a clock that jumped back: discard all times, which may lie ahead for long.
 
     Times that are compared for equality only, or that an initialisation sets, stay.

@@ -5,10 +5,7 @@ these heights by more than the gate is excluded. After some samples it is accept
 turned), unless three others agree on a plane or its own reading does not change.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.sensing.kinematics import predict_pose
@@ -29,7 +26,7 @@ MIN_WEIGHT = 0.05  # of a beam accepted outside the gate
 
 
 @jit
-def choose_reference(params: Any, beams: Any, sense: Any) -> Any:
+def choose_reference(params, beams, sense):
     """Choose the reference channel, whose samples are the follower's; -1: none.
 
     The present one stays while it delivers samples and is inside the gate.
@@ -55,7 +52,7 @@ def choose_reference(params: Any, beams: Any, sense: Any) -> Any:
 
 
 @jit
-def any_beam_changed(beams: Any, n_channels: Any, since_ns: Any) -> Any:
+def any_beam_changed(beams, n_channels, since_ns):
     """1 when a beam with a sample since a time did not repeat its range: not all are stuck."""
     for c in range(n_channels):
         if beams.t_ns[c] > since_ns and beams.repeat_ns[c] == beams.t_ns[c]:
@@ -64,7 +61,7 @@ def any_beam_changed(beams: Any, n_channels: Any, since_ns: Any) -> Any:
 
 
 @jit
-def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
+def observe_beams(params, adaptive, sense, pose):
     """Store the footprints of all fresh channels; returns the reference channel, or -1.
 
     Parameters
@@ -100,7 +97,7 @@ def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
 
 
 @jit
-def _median(values: Any, n: Any) -> Any:
+def _median(values, n):
     """Median of the first n values, which are sorted in place."""
     for i in range(1, n):
         v, j = values[i], i
@@ -112,14 +109,14 @@ def _median(values: Any, n: Any) -> Any:
 
 
 @jit
-def half_squared_distance(beams: Any, c: Any) -> Any:
+def half_squared_distance(beams, c):
     """Half the squared distance of a beam's footprint from the tool's axis [m²]."""
     dx, dy = beams.footprint_m[3 * c] - beams.axis_x_m, beams.footprint_m[3 * c + 1] - beams.axis_y_m
     return 0.5 * (dx * dx + dy * dy)
 
 
 @jit
-def beam_height(adaptive: Any, c: Any, x_m: Any, y_m: Any) -> Any:
+def beam_height(adaptive, c, x_m, y_m):
     """Height at (x, y) of the plane through a beam's footprint, corrected for the curvature [m].
 
     Parameters
@@ -139,7 +136,7 @@ def beam_height(adaptive: Any, c: Any, x_m: Any, y_m: Any) -> Any:
 
 
 @jit
-def is_bent(adaptive: Any, n_channels: Any, gate_m: Any) -> Any:
+def is_bent(adaptive, n_channels, gate_m):
     """1 when the accepted beams lie on no plane within the gate, whatever its slopes."""
     beams = adaptive.beams
     n, mx, my, mh = 0, 0.0, 0.0, 0.0
@@ -171,7 +168,7 @@ def is_bent(adaptive: Any, n_channels: Any, gate_m: Any) -> Any:
 
 
 @jit
-def accept_nearest(adaptive: Any, n_channels: Any, lowest_m: Any) -> Any:
+def accept_nearest(adaptive, n_channels, lowest_m):
     """Accept the beams that see the nearest ground; returns how many."""
     beams = adaptive.beams
     beams.inconsistent = 1
@@ -189,7 +186,7 @@ def accept_nearest(adaptive: Any, n_channels: Any, lowest_m: Any) -> Any:
 
 
 @jit
-def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
+def isolate_faults(adaptive, n_channels, t_ns, x_m, y_m):
     """Exclude beams outside the gate, weigh the others; returns how many are accepted.
 
     Parameters
@@ -264,7 +261,7 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
 
 
 @jit
-def mean_height(adaptive: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
+def mean_height(adaptive, n_channels, x_m, y_m):
     """Weighted mean of the accepted beams' heights at (x, y) [m].
 
     Parameters
@@ -283,7 +280,7 @@ def mean_height(adaptive: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
 
 
 @jit
-def note_first_sample(beams: Any, t_ns: Any) -> Any:
+def note_first_sample(beams, t_ns):
     """Return the time of the first sample of the run, which may be this one [ns]."""
     if beams.first_ns == 0 or t_ns < beams.first_ns:
         beams.first_ns = t_ns
@@ -291,7 +288,7 @@ def note_first_sample(beams: Any, t_ns: Any) -> Any:
 
 
 @jit
-def reset_beam_times(beams: Any) -> None:
+def reset_beam_times(beams):
     """Discard all times: the clock jumped."""
     beams.first_ns = 0
     for c in range(BEAMS):

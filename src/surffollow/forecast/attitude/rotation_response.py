@@ -8,10 +8,7 @@ not, the ground may have become plane: the tool turns on by a little (`ROTATION_
 must shrink by that. If it does not, the tool does not turn (`ROTATION_FAILED`) until the deviation changes.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.attitude.beam_detection import MAX_AGE_NS
 from surffollow.forecast.attitude.plane_fit import MAX_GAP_NS, SLOPE_BANDWIDTH_RADPS
@@ -39,7 +36,7 @@ RUN_SAMPLES = 64  # in the mean of a run
 
 
 @jit
-def mean_range(beams: Any, n_channels: Any, t_ns: Any, range_m: Any) -> Any:
+def mean_range(beams, n_channels, t_ns, range_m):
     """Mean of the newest ranges of all beams [m]: constant only if none of them responds.
 
     Parameters
@@ -58,7 +55,7 @@ def mean_range(beams: Any, n_channels: Any, t_ns: Any, range_m: Any) -> Any:
 
 
 @jit
-def _begin_run(rotation: Any, t_ns: Any, axis: Any) -> None:
+def _begin_run(rotation, t_ns, axis):
     """Begin a run of constant deviations at the present mean."""
     rotation.phase, rotation.run_ns, rotation.run_samples = ROTATION_RUN, t_ns, 0
     rotation.run_mean[0], rotation.run_mean[1] = rotation.mean[0], rotation.mean[1]
@@ -66,20 +63,20 @@ def _begin_run(rotation: Any, t_ns: Any, axis: Any) -> None:
 
 
 @jit
-def _begin_phase(rotation: Any, phase: Any, t_ns: Any, axis: Any) -> None:
+def _begin_phase(rotation, phase, t_ns, axis):
     """Begin a phase of the test at the tool's axis."""
     rotation.phase, rotation.test_ns = phase, t_ns
     rotation.test_axis[0], rotation.test_axis[1], rotation.test_axis[2] = axis
 
 
 @jit
-def reset_rotation(rotation: Any) -> None:
+def reset_rotation(rotation):
     """Begin anew with the next plane."""
     rotation.t_ns, rotation.phase = 0, ROTATION_RUN
 
 
 @jit
-def observe_rotation(params: Any, adaptive: Any, t_ns: Any, pose: Any) -> None:
+def observe_rotation(params, adaptive, t_ns, pose):
     """Update the test with the newest plane.
 
     Parameters
@@ -138,13 +135,13 @@ def observe_rotation(params: Any, adaptive: Any, t_ns: Any, pose: Any) -> None:
 
 
 @jit
-def has_failed(rotation: Any) -> Any:
+def has_failed(rotation):
     """1 after a test that the deviation did not follow, until it changes."""
     return 1 if rotation.phase == ROTATION_FAILED else 0
 
 
 @jit
-def tested_direction(rotation: Any, nx: Any, ny: Any, nz: Any) -> Any:
+def tested_direction(rotation, nx, ny, nz):
     """Direction for the tool's axis: the normal, or as near to it as a test in progress permits.
 
     Parameters

@@ -1,9 +1,6 @@
 """The estimate: propagate, gate, update and blend the model bank with one sample."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.estimation.innovation_gate import (
     INNER_GATE,
@@ -65,7 +62,7 @@ SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
 
 @jit
-def blend_height(adaptive: Any) -> Any:
+def blend_height(adaptive):
     """Blended height at the point up to which the models are propagated [m]: h = Σ w_i h_i."""
     h = 0.0
     for i in range(N_MODELS):
@@ -74,7 +71,7 @@ def blend_height(adaptive: Any) -> Any:
 
 
 @jit
-def blend_models(adaptive: Any) -> None:
+def blend_models(adaptive):
     """Blend height, slope and variance of the models at the newest sample.
 
     σ² = Σ w_i (P_i + (h_i − h)²)
@@ -91,7 +88,7 @@ def blend_models(adaptive: Any) -> None:
 
 
 @jit
-def note_accepted(adaptive: Any, t_ns: Any) -> None:
+def note_accepted(adaptive, t_ns):
     """Note the time of a sample that enters the estimate, and which jump of the position it is behind."""
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
     estimate.accepted_ns = t_ns
@@ -100,9 +97,7 @@ def note_accepted(adaptive: Any, t_ns: Any) -> None:
 
 
 @jit
-def reset_estimate(
-    params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
-) -> None:
+def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     """Initialise with level ground at the first height; the performance index from before a loss stays.
 
     Parameters
@@ -141,7 +136,7 @@ def reset_estimate(
 
 
 @jit
-def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, standoff_m: Any, adapt: Any) -> None:
+def restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt):
     """Initialise again after a bad first sample; discard noise and slots learned from it, keep older ones.
 
     Parameters
@@ -159,7 +154,7 @@ def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, standoff_m
 
 
 @jit
-def confirm_step(params: Any, adaptive: Any) -> None:
+def confirm_step(params, adaptive):
     """Shift every model to the mean of the pending samples; these enter the terrain buffer."""
     gate, estimate = adaptive.gate, adaptive.estimate
     n = gate.pending
@@ -175,33 +170,33 @@ def confirm_step(params: Any, adaptive: Any) -> None:
 
 
 @jit
-def reverse_estimate(adaptive: Any) -> None:
+def reverse_estimate(adaptive):
     """Reverse the direction of travel: the tool goes back."""
     reverse_bank(adaptive.bank)
     adaptive.estimate.slope = -adaptive.estimate.slope
 
 
 @jit
-def discard_estimate(estimate: Any) -> None:
+def discard_estimate(estimate):
     """Initialise with the next sample."""
     estimate.samples = 0
 
 
 @jit
-def unconfirm_estimate(estimate: Any) -> None:
+def unconfirm_estimate(estimate):
     """Initialise with the next sample, and count the loss time-out from it."""
     estimate.samples = 0
     estimate.confirmed_ns = 0
 
 
 @jit
-def reset_estimate_times(estimate: Any) -> None:
+def reset_estimate_times(estimate):
     """Discard all times: the clock jumped."""
     estimate.sample_ns = estimate.accepted_ns = estimate.confirmed_ns = 0
 
 
 @jit
-def erase_estimate(estimate: Any) -> None:
+def erase_estimate(estimate):
     """Discard everything: it is not finite."""
     estimate.samples = 0
     estimate.height_m = estimate.slope = estimate.sigma_m = estimate.gain = 0.0
@@ -209,9 +204,7 @@ def erase_estimate(estimate: Any) -> None:
 
 
 @jit
-def update_estimate(
-    params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
-) -> Any:
+def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     """Propagate the bank to a sample, gate it and update; 1 when it entered the estimate.
 
     Parameters

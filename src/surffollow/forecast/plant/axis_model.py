@@ -1,9 +1,6 @@
 """Model of the controlled axis: proportional, square-root profile, bounded velocity and acceleration."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.shm.jit import jit
 
@@ -14,7 +11,7 @@ ATTAINABLE_SHARE = 0.999  # of the greatest change of velocity in a period; the 
 
 
 @jit
-def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
+def axis_velocity(distance_m, tau_s, a_max_mps2):
     """Velocity at which the axis approaches its setpoint: proportional, then square root [m/s]."""
     linear = a_max_mps2 * tau_s * tau_s
     if distance_m > linear:
@@ -25,9 +22,7 @@ def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
 
 
 @jit
-def step_axis(
-    tau_s: Any, v_max_mps: Any, a_max_mps2: Any, z_m: Any, v_mps: Any, target_m: Any, dt_s: Any
-) -> Any:
+def step_axis(tau_s, v_max_mps, a_max_mps2, z_m, v_mps, target_m, dt_s):
     """Position and velocity of the axis after a time step toward its setpoint [m, m/s].
 
     Parameters
@@ -47,7 +42,7 @@ def step_axis(
 
 
 @jit
-def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_m: Any) -> Any:
+def velocity_after_period(params, tau_s, z_m, v_mps, target_m):
     """Velocity of the axis one controller period from now with a setpoint [m/s].
 
     Parameters
@@ -64,7 +59,7 @@ def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_
 
 
 @jit
-def invert_axis(params: Any, tau_s: Any, z_m: Any, v_mps: Any, wanted_mps: Any) -> Any:
+def invert_axis(params, tau_s, z_m, v_mps, wanted_mps):
     """Setpoint with which the axis has a velocity one controller period from now [m].
 
     Bisection: the velocity is monotone in the setpoint. A velocity that the axis does not attain would give

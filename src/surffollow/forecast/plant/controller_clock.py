@@ -5,10 +5,6 @@ pose reports; a controller latches a demand and reports its pose in one cycle. W
 second, the next one tells when the demand is latched, and the demand published before it is the one latched.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
@@ -23,7 +19,7 @@ PERIOD_RATE = 0.1  # of the usual interval, per report
 
 
 @jit
-def is_synchronised(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
+def is_synchronised(controller, ranges_given, now_ns):
     """Whether pose reports arrive once per controller period.
 
     With `ranges_given` > 0 the caller latches each answer himself; then reports are not used.
@@ -33,7 +29,7 @@ def is_synchronised(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
 
 
 @jit
-def period_is_due(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
+def period_is_due(controller, ranges_given, now_ns):
     """1 when the demand of the next controller period has to be prepared.
 
     Parameters
@@ -55,7 +51,7 @@ def period_is_due(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
 
 
 @jit
-def latch_time(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
+def latch_time(controller, ranges_given, now_ns):
     """Time at which the controller latches its next demand [ns]."""
     if not is_synchronised(controller, ranges_given, now_ns):
         return now_ns
@@ -65,7 +61,7 @@ def latch_time(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
 
 
 @jit
-def mean_wait_s(params: Any, controller: Any) -> Any:
+def mean_wait_s(params, controller):
     """Mean time from a demand to its effect: half a controller period, `max_wait_s` at most [s].
 
     A controller reports its pose once per period.
@@ -76,7 +72,7 @@ def mean_wait_s(params: Any, controller: Any) -> Any:
 
 
 @jit
-def open_period(controller: Any, ranges_given: Any, now_ns: Any) -> None:
+def open_period(controller, ranges_given, now_ns):
     """Set the latch time of the period that has just begun; until then its demand may change."""
     controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = latch_time(
         controller, ranges_given, now_ns
@@ -85,7 +81,7 @@ def open_period(controller: Any, ranges_given: Any, now_ns: Any) -> None:
 
 
 @jit
-def observe_report(controller: Any, poses: Any, now_ns: Any) -> None:
+def observe_report(controller, poses, now_ns):
     """Update the period with the arrival of a pose report, which ends a pending latch.
 
     `poses` counts the reports.
@@ -103,7 +99,7 @@ def observe_report(controller: Any, poses: Any, now_ns: Any) -> None:
 
 
 @jit
-def begin_period(controller: Any, now_ns: Any) -> None:
+def begin_period(controller, now_ns):
     """Begin a controller period now."""
     controller.latch_ns[controller.periods & (N_PERIODS - 1)] = now_ns
     controller.periods += 1
@@ -111,13 +107,13 @@ def begin_period(controller: Any, now_ns: Any) -> None:
 
 
 @jit
-def oldest_period(controller: Any) -> Any:
+def oldest_period(controller):
     """Number of the oldest period that the rings hold."""
     return max(0, controller.periods - N_PERIODS)
 
 
 @jit
-def period_at(controller: Any, k: Any, t_ns: Any) -> Any:
+def period_at(controller, k, t_ns):
     """Number of the newest period that is latched at a time, from period k on."""
     while k + 1 < controller.periods and controller.latch_ns[(k + 1) & (N_PERIODS - 1)] <= t_ns:
         k += 1
@@ -125,7 +121,7 @@ def period_at(controller: Any, k: Any, t_ns: Any) -> Any:
 
 
 @jit
-def reset_controller(controller: Any) -> None:
+def reset_controller(controller):
     """Discard all periods and the arrival of reports: the clock jumped."""
     controller.period_ns = controller.report_ns = 0
     controller.periods = controller.latch_pending = 0  # setpoints of future periods would never be latched

@@ -1,9 +1,6 @@
 """Shadow axes: a simulated copy of the controlled axis per model, driven by its setpoints."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.estimation.model_bank import N_MODELS
 from surffollow.forecast.plant.axis_model import step_axis
@@ -24,14 +21,14 @@ PERIOD_RATE_HZ2 = 1e4  # squared rate of the controller, 100 Hz
 
 
 @jit
-def compared_lag_s(adaptive: Any) -> Any:
+def compared_lag_s(adaptive):
     """Time from the tool over a footprint to its sample when the sensor trails, MAX_LAG_S at most [s]."""
     trail_m = max(-adaptive.sample.lead_m, 0.0)
     return min(trail_m / max(adaptive.kinematics.speed_mps, MIN_SPEED_MPS), MAX_LAG_S)
 
 
 @jit
-def uncompared_m(adaptive: Any) -> Any:
+def uncompared_m(adaptive):
     """Part of the distance by which the sensor trails that the tool does not travel in MAX_LAG_S [m].
 
     No model is extrapolated over it, as no shadow axis shows how well that would do.
@@ -40,7 +37,7 @@ def uncompared_m(adaptive: Any) -> Any:
 
 
 @jit
-def reset_shadows(shadow: Any, t_ns: Any, z_m: Any) -> None:
+def reset_shadows(shadow, t_ns, z_m):
     """Put every shadow axis to rest at a height, at a time."""
     shadow.t_ns = t_ns
     for i in range(N_MODELS):
@@ -49,7 +46,7 @@ def reset_shadows(shadow: Any, t_ns: Any, z_m: Any) -> None:
 
 
 @jit
-def propagate_shadows(params: Any, adaptive: Any, t_ns: Any) -> Any:
+def propagate_shadows(params, adaptive, t_ns):
     """Propagate every shadow axis up to a time with the setpoints of its model; 0 when that is not possible.
 
     Parameters
@@ -86,7 +83,7 @@ def propagate_shadows(params: Any, adaptive: Any, t_ns: Any) -> Any:
 
 
 @jit
-def update_effort(adaptive: Any) -> None:
+def update_effort(adaptive):
     """Update the effort with the setpoints of the period that has just been recorded."""
     shadow, controller = adaptive.shadow, adaptive.controller
     n = controller.periods
@@ -102,7 +99,7 @@ def update_effort(adaptive: Any) -> None:
 
 
 @jit
-def record_setpoints(adaptive: Any) -> None:
+def record_setpoints(adaptive):
     """Record the newest setpoints of all models for the period that begins, and update the effort."""
     shadow = adaptive.shadow
     first = (adaptive.controller.periods & (N_PERIODS - 1)) * MAX_MODELS
@@ -112,7 +109,7 @@ def record_setpoints(adaptive: Any) -> None:
 
 
 @jit
-def reset_effort(shadow: Any) -> None:
+def reset_effort(shadow):
     """Set the mean squared acceleration of all setpoints to zero."""
     for i in range(N_MODELS):
         shadow.effort[i] = shadow.log_effort[i] = 0.0

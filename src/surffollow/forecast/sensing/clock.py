@@ -1,16 +1,12 @@
 """The follower's time: the latest timestamp of steps and poses."""
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit
 
 CLOCK_JUMP_NS = 1_000_000_000  # late samples are never so late: it is another clock; at the reference time 1
 
 
 @jit
-def clock_jump_ns(scaled: Any) -> Any:
+def clock_jump_ns(scaled):
     """The same in nanoseconds of the inputs.
 
     Parameters
@@ -21,7 +17,7 @@ def clock_jump_ns(scaled: Any) -> Any:
 
 
 @jit
-def update_clock(clock: Any, t_ns: Any, pose_t_ns: Any) -> Any:
+def update_clock(clock, t_ns, pose_t_ns):
     """Advance the time to the latest timestamp; 1 when the clock jumped back and is followed."""
     t = max(t_ns, pose_t_ns)
     jumped = t < clock.now_ns - CLOCK_JUMP_NS

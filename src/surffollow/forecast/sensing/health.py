@@ -1,9 +1,6 @@
 """Health of the ranging: stuck-at detection, health states with hysteresis, latched faults."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.attitude.rotation_response import has_failed
 from surffollow.forecast.sensing.kinematics import has_jumped
@@ -55,7 +52,7 @@ CLOSE_CONFIRMATION_SAMPLES = 3  # a single glitch is not the fold-back
 
 
 @jit
-def initial_repeat_limit(prediction: Any) -> Any:
+def initial_repeat_limit(prediction):
     """Equal samples in a row that are no fault while nothing is known of the sensor."""
     if prediction.interval_s <= 0.0:
         return 1.0 * STUCK_SAMPLES
@@ -63,7 +60,7 @@ def initial_repeat_limit(prediction: Any) -> Any:
 
 
 @jit
-def repeat_limit(adaptive: Any) -> Any:
+def repeat_limit(adaptive):
     """Equal samples in a row that are no fault: a multiple of the usual number, if that is known."""
     health = adaptive.health
     if health.usual_repeats == 0.0:
@@ -72,7 +69,7 @@ def repeat_limit(adaptive: Any) -> Any:
 
 
 @jit
-def update_usual_repeats(adaptive: Any, n: Any) -> None:
+def update_usual_repeats(adaptive, n):
     """Update the usual number of equal samples with the length of a run."""
     health = adaptive.health
     if health.usual_repeats == 0.0:
@@ -86,7 +83,7 @@ def update_usual_repeats(adaptive: Any, n: Any) -> None:
 
 
 @jit
-def repeats_range(health: Any, range_m: Any) -> Any:
+def repeats_range(health, range_m):
     """1 when a range differs from the first one of the run by less than the sensor's noise allows."""
     return (
         1
@@ -97,7 +94,7 @@ def repeats_range(health: Any, range_m: Any) -> Any:
 
 
 @jit
-def update_noise_floor(adaptive: Any) -> None:
+def update_noise_floor(adaptive):
     """Track the least noise of the readings: on rough ground they are noisier than the sensor."""
     health, sigma = adaptive.health, adaptive.noise.sigma_m
     if adaptive.weights.scored < REPEAT_BURN_IN_SAMPLES:
@@ -109,7 +106,7 @@ def update_noise_floor(adaptive: Any) -> None:
 
 
 @jit
-def update_stuck(adaptive: Any, repeated: Any, range_m: Any, tool_z_m: Any) -> None:
+def update_stuck(adaptive, repeated, range_m, tool_z_m):
     """Count like samples in a row; too many while the tool moved along z are a stuck-at fault.
 
     A live sensor responds to the motion, or shows its
@@ -142,25 +139,25 @@ def update_stuck(adaptive: Any, repeated: Any, range_m: Any, tool_z_m: Any) -> N
 
 
 @jit
-def is_stuck(health: Any) -> Any:
+def is_stuck(health):
     """1 while there is a stuck-at fault."""
     return 1 if health.repeat_count >= STUCK_COUNT else 0
 
 
 @jit
-def is_stuck_permanently(adaptive: Any) -> Any:
+def is_stuck_permanently(adaptive):
     """1 when a stuck-at fault has lasted for too many samples to be quantisation."""
     return 1 if adaptive.health.repeat_count > STUCK_COUNT + STUCK_RESET_RATIO * repeat_limit(adaptive) else 0
 
 
 @jit
-def dropout_tolerance_s(prediction: Any) -> Any:
+def dropout_tolerance_s(prediction):
     """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
     return min(DROPOUT_INTERVALS * prediction.interval_s, MAX_DROPOUT_S)
 
 
 @jit
-def is_dropout(adaptive: Any) -> Any:
+def is_dropout(adaptive):
     """Whether samples of channel 0 are missing."""
     return adaptive.clock.now_ns - adaptive.hold.t_ns > adaptive.latency.delay_s * 1e9 + max(
         DROPOUT_NS, dropout_tolerance_s(adaptive.prediction) * 1e9
@@ -168,7 +165,7 @@ def is_dropout(adaptive: Any) -> Any:
 
 
 @jit
-def is_lost(params: Any, adaptive: Any) -> Any:
+def is_lost(params, adaptive):
     """1 when no sample entered a confirmed estimate within the loss time-out.
 
     An estimate of a single sample is not confirmed.
@@ -182,7 +179,7 @@ def is_lost(params: Any, adaptive: Any) -> Any:
 
 
 @jit
-def observe_channels(params: Any, health: Any, sense: Any, now_ns: Any) -> None:
+def observe_channels(params, health, sense, now_ns):
     """Note when each channel has a reading, and the usual interval of its readings."""
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
@@ -196,7 +193,7 @@ def observe_channels(params: Any, health: Any, sense: Any, now_ns: Any) -> None:
 
 
 @jit
-def silent_channels(params: Any, health: Any, now_ns: Any) -> Any:
+def silent_channels(params, health, now_ns):
     """Bit per channel of several that is without a reading as long as a drop-out is.
 
     The time is that of arrival: a wrong timestamp is no missing reading.
@@ -211,7 +208,7 @@ def silent_channels(params: Any, health: Any, now_ns: Any) -> Any:
 
 
 @jit
-def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
+def update_health(params, adaptive, sense, stuck):
     """Determine health and reason, and publish them with hysteresis.
 
     Parameters
@@ -266,26 +263,26 @@ def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
 
 
 @jit
-def count_close(health: Any, close: Any) -> Any:
+def count_close(health, close):
     """Count samples in a row near the fold-back; 1 when they are enough to confirm it."""
     health.close_count = health.close_count + 1 if close else 0
     return 1 if health.close_count >= CLOSE_CONFIRMATION_SAMPLES else 0
 
 
 @jit
-def latch_fault(health: Any, fault: Any) -> None:
+def latch_fault(health, fault):
     """Latch a fault bit."""
     health.faults |= fault
 
 
 @jit
-def clear_faults(health: Any) -> None:
+def clear_faults(health):
     """Clear all latched faults."""
     health.faults = 0
 
 
 @jit
-def reset_health_times(health: Any, now_ns: Any) -> None:
+def reset_health_times(health, now_ns):
     """Count hysteresis and missing readings from now on: the clock jumped."""
     health.since_ns = now_ns
     for c in range(BEAMS):

@@ -1,9 +1,6 @@
 """Velocity of the tool and its pose at a given time."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.pose import pose_at
 from surffollow.shm.jit import jit
@@ -19,7 +16,7 @@ MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncerta
 
 
 @jit
-def oldest_pose_within(sense: Any, window_ns: Any, first_pose: Any) -> Any:
+def oldest_pose_within(sense, window_ns, first_pose):
     """Slot of the newest pose report that is at least `window_ns` older than the newest one.
 
     Reports from before a long gap, or before the report `first_pose`, do not count; the newest one may be
@@ -36,7 +33,7 @@ def oldest_pose_within(sense: Any, window_ns: Any, first_pose: Any) -> Any:
 
 
 @jit
-def note_jump(params: Any, kinematics: Any, sense: Any) -> Any:
+def note_jump(params, kinematics, sense):
     """Note a jump of the reported position, no report of which continues; 1 when there is one.
 
     A lateral jump disagrees with the velocity and with the way between the two reports before: a change of
@@ -71,13 +68,13 @@ def note_jump(params: Any, kinematics: Any, sense: Any) -> Any:
 
 
 @jit
-def has_jumped(kinematics: Any, now_ns: Any) -> Any:
+def has_jumped(kinematics, now_ns):
     """1 for a second after a jump of the reported position."""
     return 1 if kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < MAX_POSE_GAP_NS else 0
 
 
 @jit
-def update_kinematics(params: Any, kinematics: Any, sense: Any) -> Any:
+def update_kinematics(params, kinematics, sense):
     """Lateral and vertical velocity of the tool from its reports, 0 with one; returns 1 after a new jump."""
     if kinematics.pose_count == sense.pose_count:
         return 0
@@ -101,7 +98,7 @@ def update_kinematics(params: Any, kinematics: Any, sense: Any) -> Any:
 
 
 @jit
-def predict_pose(kinematics: Any, sense: Any, t_ns: Any, pose: Any) -> None:
+def predict_pose(kinematics, sense, t_ns, pose):
     """Pose of the tool at a time into `pose`; after the newest report it is extrapolated.
 
     Parameters

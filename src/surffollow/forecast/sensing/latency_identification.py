@@ -6,10 +6,7 @@ end of the rest the result enters the correction, weighted by its variance. Moti
 used: there climb rate and terrain are correlated.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.pose import pose_at
 from surffollow.shm.jit import jit
@@ -27,7 +24,7 @@ DELAY_RATE = 0.05  # of the usual delay, per sample
 
 
 @jit
-def reset_window(latency: Any) -> None:
+def reset_window(latency):
     """Begin a new rest."""
     latency.count = 0
     latency.mean_climb_mps = latency.mean_height_m = latency.climb_climb = latency.climb_height = (
@@ -36,26 +33,26 @@ def reset_window(latency: Any) -> None:
 
 
 @jit
-def reset_latency(latency: Any) -> None:
+def reset_latency(latency):
     """Discard the correction."""
     latency.correction_s = latency.sigma_s = 0.0
     reset_window(latency)
 
 
 @jit
-def update_delay(latency: Any, delay_s: Any) -> None:
+def update_delay(latency, delay_s):
     """Update the usual delay with that of a sample [s]."""
     latency.delay_s += DELAY_RATE * (delay_s - latency.delay_s)
 
 
 @jit
-def reset_delay(latency: Any) -> None:
+def reset_delay(latency):
     """Discard the usual delay."""
     latency.delay_s = 0.0
 
 
 @jit
-def check_configured_latency(params: Any, latency: Any) -> Any:
+def check_configured_latency(params, latency):
     """Discard the correction when another latency is configured; 1 then: timestamps go back or on."""
     if latency.configured_ns == params.sensor_latency_ns:
         return 0
@@ -66,7 +63,7 @@ def check_configured_latency(params: Any, latency: Any) -> Any:
 
 
 @jit
-def update_correction(adaptive: Any, adapt: Any) -> None:
+def update_correction(adaptive, adapt):
     """Let the regression of a rest enter the correction, and begin a new rest."""
     latency = adaptive.latency
     n = latency.count
@@ -86,9 +83,7 @@ def update_correction(adaptive: Any, adapt: Any) -> None:
 
 
 @jit
-def observe_height(
-    adaptive: Any, sense: Any, t_ns: Any, h_m: Any, at_rest: Any, adapt: Any, pose: Any
-) -> None:
+def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     """Enter a sample's height into the regression.
 
     Parameters

@@ -3,10 +3,7 @@
 range → pose at the range's timestamp → footprint → latency, health, plane fit → innovation gate, bank
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.attitude.beam_detection import any_beam_changed, observe_beams
 from surffollow.forecast.attitude.plane_fit import plane_height
@@ -41,7 +38,7 @@ SPACING_RATE = 0.05  # of the usual spacing, per sample
 
 
 @jit
-def axis_ground_point(params: Any, pose: Any) -> Any:
+def axis_ground_point(params, pose):
     """Point of the tool's axis that should touch the ground, from the tool, in world axes [m].
 
     The axis is that of the tool's frame which is nearest to channel 0's beam.
@@ -57,7 +54,7 @@ def axis_ground_point(params: Any, pose: Any) -> Any:
 
 
 @jit
-def standoff_height(params: Any, plane: Any, sense: Any, orients: Any, pose: Any) -> Any:
+def standoff_height(params, plane, sense, orients, pose):
     """Desired height of the tool above the ground point on its axis [m].
 
     Parameters
@@ -78,9 +75,7 @@ def standoff_height(params: Any, plane: Any, sense: Any, orients: Any, pose: Any
 
 
 @jit
-def process_sample(
-    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, orients: Any, pose: Any
-) -> None:
+def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose):
     """Process a new sample, if there is one; a sample that does not enter the estimate is not mapped.
 
     Parameters
@@ -182,7 +177,7 @@ def process_sample(
 
 
 @jit
-def has_turned_back(adaptive: Any) -> Any:
+def has_turned_back(adaptive):
     """1 when the tool goes back, against the heading of the newest sample."""
     kinematics, sample = adaptive.kinematics, adaptive.sample
     along = kinematics.velocity_x_mps * sample.heading_x + kinematics.velocity_y_mps * sample.heading_y
@@ -190,7 +185,7 @@ def has_turned_back(adaptive: Any) -> Any:
 
 
 @jit
-def follow_heading(adaptive: Any, x_m: Any, y_m: Any) -> None:
+def follow_heading(adaptive, x_m, y_m):
     """Take the heading of the tool as that of the sample; reverse the bank where the footprints go back.
 
     Parameters
@@ -211,7 +206,7 @@ def follow_heading(adaptive: Any, x_m: Any, y_m: Any) -> None:
 
 
 @jit
-def reset_sample(sample: Any) -> None:
+def reset_sample(sample):
     """Discard footprint and spacing."""
     sample.spacing_m = sample.lead_m = 0.0
     sample.tip_x_m = sample.tip_y_m = sample.heading_x = sample.heading_y = 0.0

@@ -4,10 +4,7 @@ A bank of damped straight lines (filters of range and rate) and "no change". Eac
 the predictions that it made 2, 5, 10 and 20 snapshots ago, at the horizon nearest to the one asked for.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
@@ -33,13 +30,13 @@ assert len(DAMPING_S) == N_TRENDS
 
 
 @jit
-def damped_time(horizon_s: Any, damping_s: Any) -> Any:
+def damped_time(horizon_s, damping_s):
     """Integral of a damped unit rate over a horizon [s]."""
     return damping_s * (1.0 - math.exp(-horizon_s / damping_s))
 
 
 @jit
-def reset_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
+def reset_prediction(prediction, t_ns, range_m):
     """Begin all lines at a range."""
     for k in range(N_TRENDS):
         prediction.range_m[k], prediction.rate_mps[k] = range_m, 0.0
@@ -54,7 +51,7 @@ def reset_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
 
 
 @jit
-def score_predictions(prediction: Any, t_ns: Any, range_m: Any) -> None:
+def score_predictions(prediction, t_ns, range_m):
     """Update the errors of earlier snapshots with a range, then take a snapshot."""
     for j in range(N_HORIZONS):
         back = prediction.snapshots - HORIZON_SNAPSHOTS[j]
@@ -88,7 +85,7 @@ def score_predictions(prediction: Any, t_ns: Any, range_m: Any) -> None:
 
 
 @jit
-def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
+def update_prediction(prediction, t_ns, range_m):
     """Update all lines with a range; a single outlier is rejected."""
     dt = (t_ns - prediction.t_ns) * 1e-9
     if prediction.t_ns == 0 or dt <= 0.0 or dt > GAP_INTERVALS * max(prediction.interval_s, 1.0):
@@ -143,7 +140,7 @@ def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
 
 
 @jit
-def predict_range(prediction: Any, horizon_s: Any) -> Any:
+def predict_range(prediction, horizon_s):
     """Range at a horizon after the newest one [m]; NaN before the first."""
     if prediction.t_ns == 0:
         return math.nan
@@ -166,6 +163,6 @@ def predict_range(prediction: Any, horizon_s: Any) -> Any:
 
 
 @jit
-def reset_prediction_time(prediction: Any) -> None:
+def reset_prediction_time(prediction):
     """Begin at the next range: the clock jumped."""
     prediction.t_ns = 0

@@ -10,10 +10,6 @@ In a longer descent the setpoint is shifted up by a little more than the noise h
 the shift ends the run; without that, or after a descent by half the stand-off, a hold follows.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
@@ -43,7 +39,7 @@ MAX_PHASE_TAUS = 50.0  # after which a tool that does not do as it is asked ends
 
 
 @jit
-def _begin_run(response: Any, t_ns: Any, tool_z_m: Any) -> None:
+def _begin_run(response, t_ns, tool_z_m):
     """Begin a run of constant ranges at the present mean."""
     response.phase, response.count = RESPONSE_RUN, 0
     response.run_range_m, response.run_z_m, response.run_ns = response.mean_m, tool_z_m, t_ns
@@ -52,7 +48,7 @@ def _begin_run(response: Any, t_ns: Any, tool_z_m: Any) -> None:
 
 
 @jit
-def _observe_noise(response: Any, range_m: Any) -> None:
+def _observe_noise(response, range_m):
     """Update the noise and the usual noise of the ranges; noise far below the usual one is not learned."""
     second = abs(range_m - 2.0 * response.recent_m[0] + response.recent_m[1]) / SECOND_DIFFERENCE
     response.recent_m[1] = response.recent_m[0]
@@ -69,7 +65,7 @@ def _observe_noise(response: Any, range_m: Any) -> None:
 
 
 @jit
-def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z_m: Any, gap_s: Any) -> None:
+def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     """Update the test with a sample of channel 0.
 
     Parameters
@@ -152,13 +148,13 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
 
 
 @jit
-def is_unresponsive(response: Any) -> Any:
+def is_unresponsive(response):
     """1 after a test that the range did not follow, until it changes."""
     return 1 if response.phase == RESPONSE_FAILED else 0
 
 
 @jit
-def raised_target(response: Any, target_m: Any) -> Any:
+def raised_target(response, target_m):
     """Setpoint target, raised by the response test in progress [m]."""
     if response.phase == RESPONSE_RUN:
         return target_m + response.lift_m
@@ -170,7 +166,7 @@ def raised_target(response: Any, target_m: Any) -> Any:
 
 
 @jit
-def reset_response(response: Any) -> None:
+def reset_response(response):
     """Begin anew with the next sample."""
     response.t_ns = response.samples = 0
     response.phase = RESPONSE_RUN

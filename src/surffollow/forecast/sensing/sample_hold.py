@@ -3,10 +3,6 @@
 A sensor holds each value for a while, and the converter reads it many times.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
@@ -15,7 +11,7 @@ BACKWARD_SAMPLES = 3  # timestamps in a row before that of the newest sample: th
 
 
 @jit
-def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channel: Any, orients: Any) -> Any:
+def new_sample(params, adaptive, sense, ranges_given, channel, orients):
     """Whether a channel has a new sample, its range and timestamp.
 
     Conversions of a held value are one sample with the timestamp of the first of them. An unchanged value is
@@ -72,7 +68,7 @@ def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channe
 
 
 @jit
-def observe_timestamp(adaptive: Any, t_ns: Any) -> None:
+def observe_timestamp(adaptive, t_ns):
     """Update the correction of timestamps that went back, with a fresh sample.
 
     Late samples arrive in order. Several in a row whose timestamps lie before that of the newest sample have
@@ -92,12 +88,12 @@ def observe_timestamp(adaptive: Any, t_ns: Any) -> None:
 
 
 @jit
-def record_sample(hold: Any, t_ns: Any, range_m: Any) -> None:
+def record_sample(hold, t_ns, range_m):
     """Hold the newest sample."""
     hold.t_ns, hold.range_m = t_ns, range_m
 
 
 @jit
-def reset_hold(hold: Any) -> None:
+def reset_hold(hold):
     """Accept a sample of any time as new."""
     hold.t_ns = hold.backward = hold.shift_ns = 0

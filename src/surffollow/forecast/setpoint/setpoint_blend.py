@@ -1,9 +1,6 @@
 """Blend the models' setpoints by weight and filter the blend with a deadband."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
@@ -30,7 +27,7 @@ HEIGHT_MARGIN_M = 1e-3  # … plus this
 
 
 @jit
-def dropout_s(adaptive: Any) -> Any:
+def dropout_s(adaptive):
     """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
     return (
         (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9
@@ -40,7 +37,7 @@ def dropout_s(adaptive: Any) -> Any:
 
 
 @jit
-def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, standoff_m: Any) -> Any:
+def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """Setpoints of all models at `ahead_m` beyond the newest footprint; returns their blend [m].
 
     A model adds its slope times `lead_m`. The change of height is clamped to `max_slope` of the
@@ -73,7 +70,7 @@ def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, 
 
 
 @jit
-def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, standoff_m: Any, due: Any) -> Any:
+def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     """Blend the models' setpoints; when a controller period is due, record each of them.
 
     The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
@@ -131,7 +128,7 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
 
 
 @jit
-def filter_setpoint(params: Any, adaptive: Any, target_m: Any) -> Any:
+def filter_setpoint(params, adaptive, target_m):
     """Filter the blend: it continues at the predicted rate while it is within the deadband.
 
     Beyond the deadband b the excess x decays by dx/dt = −x² / (DEADBAND_SOFTNESS · b · DEADBAND_DECAY_S). The
@@ -156,12 +153,12 @@ def filter_setpoint(params: Any, adaptive: Any, target_m: Any) -> Any:
 
 
 @jit
-def reset_blend(blend: Any) -> None:
+def reset_blend(blend):
     """Discard blend and filter."""
     blend.filtered_m = blend.setpoint_m = blend.rate_mps = 0.0
 
 
 @jit
-def reset_blend_times(blend: Any) -> None:
+def reset_blend_times(blend):
     """Blend and filter anew in the next cycle: the clock jumped."""
     blend.filtered_ns = blend.t_ns = 0

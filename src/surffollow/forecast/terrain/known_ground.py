@@ -4,10 +4,6 @@ Known ground is what a map, the terrain memory or a look-ahead sensor gave befor
 lies below what channel 0 measures, preview pulls the tool toward the surface.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit
 
 CONTRADICTION_M = 1.5e-3  # channel 0 above the known ground by this …
@@ -19,9 +15,7 @@ MAX_UNCONFIRMED_DESCENT_M = 3e-3  # of a plan below the setpoint of the sensor u
 
 
 @jit
-def compare_known_ground(
-    adaptive: Any, height_behind_m: Any, height_here_m: Any, height_ahead_m: Any, h_m: Any
-) -> Any:
+def compare_known_ground(adaptive, height_behind_m, height_here_m, height_ahead_m, h_m):
     """Compare channel 0's height with known ground; 1 when several samples in a row contradict it.
 
     Parameters
@@ -57,13 +51,13 @@ def compare_known_ground(
 
 
 @jit
-def lowest_plan(known: Any, sensed_m: Any) -> Any:
+def lowest_plan(known, sensed_m):
     """Lowest setpoint of a plan beside that of the sensor under the tool [m]."""
     return sensed_m - MAX_UNCONFIRMED_DESCENT_M - known.descent_m
 
 
 @jit
-def reset_known_ground(known: Any) -> None:
+def reset_known_ground(known):
     """Discard contradictions and confirmed drops."""
     known.samples = known.contradictions = 0
     known.peak_m = known.descent_m = 0.0

@@ -4,10 +4,7 @@ Their heights enter the terrain buffer; a sample that disagrees with the one bef
 difference to channel 0 is estimated where channel 0 passes.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.sensing.kinematics import predict_pose
@@ -24,7 +21,7 @@ TIMEOUT_NS = 200_000_000  # a sensor without samples for so long does not lead
 
 
 @jit
-def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose: Any) -> None:
+def observe_lookahead(params, adaptive, sense, moving, pose):
     """Store the ground that channels 1 and up measure ahead of channel 0's footprint.
 
     Parameters
@@ -68,7 +65,7 @@ def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose:
 
 
 @jit
-def compare_lookahead(adaptive: Any, s_m: Any, h_m: Any) -> Any:
+def compare_lookahead(adaptive, s_m, h_m):
     """Compare buffered ground with channel 0's height there and update the bias; 1 when it is too low.
 
     Buffered ground that lies below channel 0's pulls the tool toward the surface. Several such samples in a
@@ -91,13 +88,13 @@ def compare_lookahead(adaptive: Any, s_m: Any, h_m: Any) -> Any:
 
 
 @jit
-def reset_lookahead(lookahead: Any) -> None:
+def reset_lookahead(lookahead):
     """Discard lead and bias."""
     lookahead.lead_m = lookahead.bias_m = lookahead.trusted_from_m = 0.0
 
 
 @jit
-def reset_lookahead_times(lookahead: Any) -> None:
+def reset_lookahead_times(lookahead):
     """Discard all times: the clock jumped."""
     lookahead.seen_ns = 0
     lookahead.lead_m = 0.0

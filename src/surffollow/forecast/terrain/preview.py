@@ -4,10 +4,7 @@ Heights of a look-ahead sensor are in the terrain buffer. Heights of a map are a
 distances ahead of the point under the newest pose.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.terrain.known_ground import REGISTRATION_M, compare_known_ground
@@ -35,7 +32,7 @@ CONTRADICTION_NS = 100_000_000  # the map is not used for so long after samples 
 
 
 @jit
-def extrapolate_ground(adaptive: Any, known: Any, from_m: Any, bias_m: Any) -> None:
+def extrapolate_ground(adaptive, known, from_m, bias_m):
     """Fill `preview.ground_m` beyond the known points by the terrain regression.
 
     Parameters
@@ -66,7 +63,7 @@ def extrapolate_ground(adaptive: Any, known: Any, from_m: Any, bias_m: Any) -> N
 
 
 @jit
-def map_height(inputs: Any, ahead_m: Any) -> Any:
+def map_height(inputs, ahead_m):
     """Height of the map at a distance ahead of the point under the tool [m]; NaN when unknown."""
     step = inputs.preview_step_m
     if inputs.n_preview < 2 or not step > 0.0:
@@ -79,9 +76,7 @@ def map_height(inputs: Any, ahead_m: Any) -> Any:
 
 
 @jit
-def collect_preview(
-    adaptive: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any, bias_m: Any
-) -> Any:
+def collect_preview(adaptive, inputs, leading, ahead_m, since_pose_m, bias_m):
     """Fill `preview.ground_m` with the ground per controller period; returns the known periods.
 
     Parameters
@@ -106,7 +101,7 @@ def collect_preview(
 
 
 @jit
-def compare_map(adaptive: Any, inputs: Any, ahead_m: Any, h_m: Any) -> None:
+def compare_map(adaptive, inputs, ahead_m, h_m):
     """Compare the map with a sample's height: update bias and deviation.
 
     A map that lies below the sample pulls the tool toward the surface. Several such samples in a row
@@ -138,7 +133,7 @@ def compare_map(adaptive: Any, inputs: Any, ahead_m: Any, h_m: Any) -> None:
 
 
 @jit
-def monitor_error(adaptive: Any, error_m: Any) -> None:
+def monitor_error(adaptive, error_m):
     """Compare the stand-off error with preview to that without; a worse plan is suspended.
 
     With a robot that is not as assumed the inverted plan may be worse than none. Errors that the plan
@@ -159,7 +154,7 @@ def monitor_error(adaptive: Any, error_m: Any) -> None:
 
 
 @jit
-def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None:
+def update_share(adaptive, known, leading, plant_m2):
     """Raise or lower preview's share of the setpoint by one controller period.
 
     Parameters
@@ -185,20 +180,20 @@ def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None
 
 
 @jit
-def suspend_preview(preview: Any, until_ns: Any) -> None:
+def suspend_preview(preview, until_ns):
     """Suspend preview until a time, or until later if that was set before."""
     preview.suspended_until_ns = max(preview.suspended_until_ns, until_ns)
 
 
 @jit
-def withdraw_preview(preview: Any) -> None:
+def withdraw_preview(preview):
     """Set preview's share to zero at once: its plan does not apply any more."""
     preview.sensed_periods = 0
     preview.share = 0.0
 
 
 @jit
-def reset_preview(preview: Any) -> None:
+def reset_preview(preview):
     """Discard share, comparison with the map, and errors."""
     withdraw_preview(preview)
     preview.map_bias_m = preview.map_deviation_m = 0.0
@@ -206,6 +201,6 @@ def reset_preview(preview: Any) -> None:
 
 
 @jit
-def reset_preview_time(preview: Any) -> None:
+def reset_preview_time(preview):
     """End a suspension: the clock jumped."""
     preview.suspended_until_ns = 0

@@ -37,7 +37,7 @@ def new_memory() -> NDArray[Any]:
 
 
 @jit
-def _first_probe(ix: Any, iy: Any) -> Any:
+def _first_probe(ix, iy):
     """First probe of a cell: a hash of its two indices."""
     h = (ix * 73856093) ^ (iy * 19349663)
     h ^= h >> 13
@@ -45,7 +45,7 @@ def _first_probe(ix: Any, iy: Any) -> Any:
 
 
 @jit
-def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, t_ns: Any) -> None:
+def store_height(memory, x_m, y_m, height_m, t_ns):
     """Average a height into its cell at a time (> 0, growing); coordinates too far away are ignored.
 
     Parameters
@@ -77,7 +77,7 @@ def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, t_ns: Any) -> N
 
 
 @jit
-def read_height(memory: Any, x_m: Any, y_m: Any, before_ns: Any) -> Any:
+def read_height(memory, x_m, y_m, before_ns):
     """Mean height around a point, of heights older than `before_ns`; NaN when there are none.
 
     The nine cells around the point are weighted by their number of heights and their distance.
@@ -111,7 +111,7 @@ def read_height(memory: Any, x_m: Any, y_m: Any, before_ns: Any) -> Any:
 
 
 @jit
-def read_preview(memory: Any, state: Any, inputs: Any) -> None:
+def read_preview(memory, state, inputs):
     """Fill a cycle's preview with remembered heights along the direction of travel.
 
     Parameters
@@ -152,7 +152,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
 
 
 @jit
-def store_footprint(memory: Any, state: Any, output: Any) -> None:
+def store_footprint(memory, state, output):
     """Store the footprint of this cycle, if it entered the estimate."""
     o, per_m = output[0], 1.0 / state[0].scaled.length
     if o.fresh & 1:
