@@ -10,7 +10,6 @@ import math
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import BEAMS
 
 MAX_REFERENCE_AGE_NS = 12_000_000  # a beam older than the newest by this is no reference
 MAX_AGE_NS = 25_000_000  # older footprints do not belong to the same plane
@@ -285,11 +284,3 @@ def note_first_sample(beams, t_ns):
     if beams.first_ns == 0 or t_ns < beams.first_ns:
         beams.first_ns = t_ns
     return beams.first_ns
-
-
-@jit
-def reset_beam_times(beams):
-    """Discard all times: the clock jumped."""
-    beams.first_ns = 0
-    for c in range(BEAMS):
-        beams.t_ns[c] = beams.changed_ns[c] = 0

@@ -286,9 +286,3 @@ def reset_plane(plane):
     """Discard the plane."""
     plane.t_ns = plane.count = 0
     plane.slope_x = plane.slope_y = plane.slope_rate_x_hz = plane.slope_rate_y_hz = plane.curvature = 0.0
-
-
-@jit
-def reset_plane_time(plane):
-    """Keep the slopes, discard their time: the clock jumped."""
-    plane.t_ns = 0

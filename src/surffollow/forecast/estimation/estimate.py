@@ -183,27 +183,6 @@ def discard_estimate(estimate):
 
 
 @jit
-def unconfirm_estimate(estimate):
-    """Initialise with the next sample, and count the loss time-out from it."""
-    estimate.samples = 0
-    estimate.confirmed_ns = 0
-
-
-@jit
-def reset_estimate_times(estimate):
-    """Discard all times: the clock jumped."""
-    estimate.sample_ns = estimate.accepted_ns = estimate.confirmed_ns = 0
-
-
-@jit
-def erase_estimate(estimate):
-    """Discard everything: it is not finite."""
-    estimate.samples = 0
-    estimate.height_m = estimate.slope = estimate.sigma_m = estimate.gain = 0.0
-    estimate.arc_length_m = estimate.slope_power = 0.0
-
-
-@jit
 def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     """Propagate the bank to a sample, gate it and update; 1 when it entered the estimate.
 

@@ -189,21 +189,6 @@ def reset_gate(gate):
 
 
 @jit
-def drop_pending(gate):
-    """Drop the pending samples."""
-    gate.pending = 0
-    gate.withheld_m = 0.0
-
-
-@jit
 def discard_slots(gate):
     """Mark the likelihood of slots as not known."""
     gate.slot_likelihood = 0.0
-
-
-@jit
-def discard_gate(gate):
-    """Mark everything as not known."""
-    drop_pending(gate)
-    gate.slot_likelihood = 0.0
-    gate.scale_m = 0.0

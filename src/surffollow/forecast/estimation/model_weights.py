@@ -130,10 +130,3 @@ def reset_index(weights):
     for i in range(N_MODELS):
         weights.recent_m2[i] = weights.longer_m2[i] = INITIAL_INDEX_M2
     weights.scored = 0
-
-
-@jit
-def discard_weights(weights):
-    """Set all weights to zero: new ones would be filtered from them."""
-    for i in range(N_MODELS):
-        weights.weight[i] = 0.0

@@ -118,10 +118,3 @@ def period_at(controller, k, t_ns):
     while k + 1 < controller.periods and controller.latch_ns[(k + 1) & (N_PERIODS - 1)] <= t_ns:
         k += 1
     return k
-
-
-@jit
-def reset_controller(controller):
-    """Discard all periods and the arrival of reports: the clock jumped."""
-    controller.period_ns = controller.report_ns = 0
-    controller.periods = controller.latch_pending = 0  # setpoints of future periods would never be latched

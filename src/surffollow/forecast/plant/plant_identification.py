@@ -188,9 +188,3 @@ def reset_time_constant(params, plant):
     plant.tau_s = plant.tau_configured_s = params.plant_tau_s
     for k in range(N_PLANTS):
         plant.error_m2[k] = 0.0
-
-
-@jit
-def reset_plant_time(plant):
-    """Put the axes at the tool with the next report: the clock jumped."""
-    plant.t_ns = 0

@@ -27,7 +27,7 @@ from surffollow.shm.layout_adaptive import (
     STUCK,
     SUSPECT,
 )
-from surffollow.shm.layout_adaptive_sensing import BEAMS, STUCK_COUNT
+from surffollow.shm.layout_adaptive_sensing import STUCK_COUNT
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
@@ -273,17 +273,3 @@ def count_close(health, close):
 def latch_fault(health, fault):
     """Latch a fault bit."""
     health.faults |= fault
-
-
-@jit
-def clear_faults(health):
-    """Clear all latched faults."""
-    health.faults = 0
-
-
-@jit
-def reset_health_times(health, now_ns):
-    """Count hysteresis and missing readings from now on: the clock jumped."""
-    health.since_ns = now_ns
-    for c in range(BEAMS):
-        health.reading_ns[c] = min(health.reading_ns[c], now_ns)

@@ -33,13 +33,6 @@ def reset_window(latency):
 
 
 @jit
-def reset_latency(latency):
-    """Discard the correction."""
-    latency.correction_s = latency.sigma_s = 0.0
-    reset_window(latency)
-
-
-@jit
 def update_delay(latency, delay_s):
     """Update the usual delay with that of a sample [s]."""
     latency.delay_s += DELAY_RATE * (delay_s - latency.delay_s)
@@ -52,13 +45,19 @@ def reset_delay(latency):
 
 
 @jit
+def discard_correction(latency):
+    """Discard the correction and begin a new rest."""
+    latency.correction_s = latency.sigma_s = 0.0
+    reset_window(latency)
+
+
+@jit
 def check_configured_latency(params, latency):
     """Discard the correction when another latency is configured; 1 then: timestamps go back or on."""
     if latency.configured_ns == params.sensor_latency_ns:
         return 0
     latency.configured_ns = params.sensor_latency_ns
-    latency.correction_s = latency.sigma_s = 0.0
-    reset_window(latency)
+    discard_correction(latency)
     return 1
 
 

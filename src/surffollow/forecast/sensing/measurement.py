@@ -203,10 +203,3 @@ def follow_heading(adaptive, x_m, y_m):
         sample.lead_m = -sample.lead_m
     sample.heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
     sample.heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
-
-
-@jit
-def reset_sample(sample):
-    """Discard footprint and spacing."""
-    sample.spacing_m = sample.lead_m = 0.0
-    sample.tip_x_m = sample.tip_y_m = sample.heading_x = sample.heading_y = 0.0

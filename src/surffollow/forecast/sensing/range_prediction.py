@@ -160,9 +160,3 @@ def predict_range(prediction, horizon_s):
         total += w * (prediction.range_m[k] + prediction.rate_mps[k] * damped_time(horizon_s, DAMPING_S[k]))
         weight += w
     return total / weight
-
-
-@jit
-def reset_prediction_time(prediction):
-    """Begin at the next range: the clock jumped."""
-    prediction.t_ns = 0

@@ -200,11 +200,3 @@ def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     """
     speed = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
     adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)
-
-
-@jit
-def reset_plan(plan):
-    """Discard setpoint and warm start."""
-    plan.setpoint_m = 0.0
-    for k in range(HORIZON):
-        plan.acceleration_m[k] = plan.multiplier_m[k] = 0.0

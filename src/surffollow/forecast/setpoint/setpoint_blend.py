@@ -150,15 +150,3 @@ def filter_setpoint(params, adaptive, target_m):
         remaining = adaptation.deadband_m + excess * softness / (softness + excess * dt / DEADBAND_DECAY_S)
         blend.filtered_m = target_m - math.copysign(remaining, e)
     return blend.filtered_m
-
-
-@jit
-def reset_blend(blend):
-    """Discard blend and filter."""
-    blend.filtered_m = blend.setpoint_m = blend.rate_mps = 0.0
-
-
-@jit
-def reset_blend_times(blend):
-    """Blend and filter anew in the next cycle: the clock jumped."""
-    blend.filtered_ns = blend.t_ns = 0

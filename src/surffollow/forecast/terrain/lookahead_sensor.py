@@ -11,7 +11,6 @@ from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.terrain.known_ground import REGISTRATION_M, compare_known_ground
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M, buffered_height, store_ground_at
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import BEAMS
 
 AGREEMENT_M = 1.5e-3  # heights of two samples in a row that confirm each other
 BIAS_RATE = 0.02  # of the bias, per sample
@@ -85,18 +84,3 @@ def compare_lookahead(adaptive, s_m, h_m):
     if wrong != 0:
         lookahead.trusted_from_m = s_m + lookahead.lead_m
     return wrong
-
-
-@jit
-def reset_lookahead(lookahead):
-    """Discard lead and bias."""
-    lookahead.lead_m = lookahead.bias_m = lookahead.trusted_from_m = 0.0
-
-
-@jit
-def reset_lookahead_times(lookahead):
-    """Discard all times: the clock jumped."""
-    lookahead.seen_ns = 0
-    lookahead.lead_m = 0.0
-    for c in range(BEAMS):
-        lookahead.range_ns[c] = 0

@@ -190,17 +190,3 @@ def withdraw_preview(preview):
     """Set preview's share to zero at once: its plan does not apply any more."""
     preview.sensed_periods = 0
     preview.share = 0.0
-
-
-@jit
-def reset_preview(preview):
-    """Discard share, comparison with the map, and errors."""
-    withdraw_preview(preview)
-    preview.map_bias_m = preview.map_deviation_m = 0.0
-    preview.error_m2 = preview.reference_error_m2 = 0.0
-
-
-@jit
-def reset_preview_time(preview):
-    """End a suspension: the clock jumped."""
-    preview.suspended_until_ns = 0

@@ -72,14 +72,6 @@ def update_regression(adaptive, h_m, travel_m, adapt):
 
 
 @jit
-def reset_regression(regression):
-    """Discard all regressions."""
-    regression.mean_height_m = regression.mean_length_m = 0.0
-    for j in range(N_DISTANCES):
-        reset_distance(regression, j)
-
-
-@jit
 def predict_rise(regression, j, offset_m, rise_m):
     """Expected change of height over `DISTANCES_M[j]` [m].
 
