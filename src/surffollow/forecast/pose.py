@@ -11,7 +11,7 @@ from surffollow.shm.layout_follow import POSES
 
 QUATERNION_TOLERANCE = 1e-3
 MAX_POSITION_M = 1e9  # as the service's client
-REFUSED, TAKEN, NO_POSE, TOO_FAR = range(4)
+TAKEN, NO_POSE, TOO_FAR = 1, 2, 3  # what `report_pose` finds
 
 
 @jit_inlined
@@ -95,7 +95,7 @@ def report_pose(state, step_ns, t_ns, pose):
 
     Returns
     -------
-    int64  TAKEN; REFUSED: not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
+    int64  TAKEN; 0: refused, not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
     """
     norm2 = pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6]
     norm = math.sqrt(norm2)

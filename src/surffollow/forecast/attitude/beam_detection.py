@@ -14,7 +14,7 @@ from surffollow.shm.jit import jit
 MAX_REFERENCE_AGE_NS = 12_000_000  # a beam older than the newest by this is no reference
 MAX_AGE_NS = 25_000_000  # older footprints do not belong to the same plane
 STUCK_NS, STUCK_SAMPLES = 100_000_000, 12.0  # a stuck beam repeats its range or keeps its mean so long
-REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it
+REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance
 MEAN_SAMPLES, BAND_SIGMAS = 8.0, 6.0  # in the mean; it is constant within so many standard deviations
 GATE_SIGMAS, MIN_GATE_M = 8.0, 2e-3  # in standard deviations of a reading; least width of the gate
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned

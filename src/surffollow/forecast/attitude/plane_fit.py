@@ -12,6 +12,7 @@ from surffollow.forecast.attitude.beam_detection import (
     mean_height,
     note_first_sample,
 )
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.shm.jit import jit
 
 FIRST_PLANE_NS = 100_000_000  # at the start one or two beams wait so long for a third
@@ -19,7 +20,6 @@ MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their
 MIN_SPREAD_M = 5e-3  # least spread of the footprints that gives a slope
 MAX_SLOPE = 3.0  # 72 degrees: steeper is no surface that a tool follows
 SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes [rad/s]; damping 1.1
-MAX_GAP_NS = 50_000_000  # over longer gaps slopes are not extrapolated
 RATE_DECAY_S = 0.05  # time constant of a rate that is not observed
 SLOPE_INNOVATION_LIMIT = 0.2  # of one sample
 TRACK_TIME_CONSTANT_S = 0.1  # of the slope from a beam's track

@@ -11,9 +11,19 @@ must shrink by that. If it does not, the tool does not turn (`ROTATION_FAILED`) 
 import math
 
 from surffollow.forecast.attitude.beam_detection import MAX_AGE_NS
-from surffollow.forecast.attitude.plane_fit import MAX_GAP_NS, SLOPE_BANDWIDTH_RADPS
+from surffollow.forecast.attitude.plane_fit import SLOPE_BANDWIDTH_RADPS
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.sensing.response import (
+    ERROR_MOTION,
+    LAG_TAUS,
+    MIN_MEANS,
+    MOTION_BANDS,
+    RUN_SAMPLES,
+    STOP_TAUS,
+    TEST_BAND_FACTOR,
+)
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import (
     ROTATION_FAILED,
@@ -23,16 +33,8 @@ from surffollow.shm.layout_adaptive_sensing import (
 )
 
 MEAN_SAMPLES = 16.0  # in the mean deviation, or those of a time constant of the slope filter
-BAND_SIGMAS = 4.0  # of the mean: the deviation has changed …
-TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
-TURN_BANDS = 4.0  # shorter rotations hide in the noise
-DEVIATION_TURN = 0.36  # of a band times `max_tilt_rad`: deviation × rotation; a small one needs a long one
+BAND_SIGMAS = 4.0  # of the mean: the deviation has changed
 FAR_TURN = 0.3  # of `max_tilt_rad`: beyond, a constant deviation is always tested
-LAG_TAUS = 0.3  # deviations that so great a lag of the axis model explains are no sign of a fault
-MIN_RUN_MEANS = 2.0  # independent means in a run before a test, and in the answer to a probe
-STOP_TAUS = 2.0  # until the tool has stopped
-PROBE_BANDS = 4.0  # rotation of the probe, in bands
-RUN_SAMPLES = 64  # in the mean of a run
 
 
 @jit
@@ -118,19 +120,19 @@ def observe_rotation(params, adaptive, t_ns, pose):
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
         deviation = math.hypot(run[0], run[1])
         unexplained = deviation > max(band, LAG_TAUS * tau_s * rate)
-        wrong = unexplained and deviation * turn > DEVIATION_TURN * band * params.max_tilt_rad
+        wrong = unexplained and deviation * turn > ERROR_MOTION * band * params.max_tilt_rad
         far = turn > FAR_TURN * params.max_tilt_rad
-        if rotation.run_samples > MIN_RUN_MEANS * number and turn > TURN_BANDS * band and (wrong or far):
+        if rotation.run_samples > MIN_MEANS * number and turn > MOTION_BANDS * band and (wrong or far):
             rotation.rate_radps = rate
             _begin_phase(rotation, ROTATION_HOLD, t_ns, axis)
     elif rotation.phase == ROTATION_HOLD:
         missing = rotation.rate_radps * ((t_ns - rotation.test_ns) * 1e-9 - STOP_TAUS * tau_s)
-        if missing > TURN_BANDS * band:
-            rotation.probe_rad, rotation.probe_samples = PROBE_BANDS * band, 0
+        if missing > MOTION_BANDS * band:
+            rotation.probe_rad, rotation.probe_samples = MOTION_BANDS * band, 0
             _begin_phase(rotation, ROTATION_PROBE, t_ns, axis)
     elif rotation.phase == ROTATION_PROBE and turn > 0.5 * rotation.probe_rad:
         rotation.probe_samples += 1
-        if rotation.probe_samples > MIN_RUN_MEANS * number:
+        if rotation.probe_samples > MIN_MEANS * number:
             _begin_phase(rotation, ROTATION_FAILED, t_ns, axis)
 
 

@@ -49,7 +49,6 @@ from surffollow.forecast.terrain.terrain_regression import reset_mean, update_re
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-IMMEDIATELY_S = 1.0  # long against every time constant of the weights
 INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
 AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
 # after a start and after a loss the performance index waits until setpoints have acted
@@ -122,7 +121,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         reset_delay(adaptive.latency)
     estimate.samples = 1
     if fresh or adapt != 0:
-        update_weights(params, adaptive, IMMEDIATELY_S)
+        update_weights(params, adaptive, math.inf)  # without their filter
     reset_gate(gate)
     estimate.sample_ns = t_ns
     note_accepted(adaptive, t_ns)

@@ -5,8 +5,9 @@ import math
 from surffollow.shm.jit import jit
 
 BISECTIONS = 24  # resolution: 6e-8 of the interval searched
-AXIS_STEPS = 5  # axis steps of 2 ms in a controller period
 PERIOD_S = 0.01  # of the plan: one controller period
+AXIS_STEP_NS = 2_000_000  # of all axis models
+AXIS_STEPS = round(PERIOD_S * 1e9) // AXIS_STEP_NS  # in a controller period
 ATTAINABLE_SHARE = 0.999  # of the greatest change of velocity in a period; the rest is for rounding
 
 

@@ -5,6 +5,8 @@ pose reports; a controller latches a demand and reports its pose in one cycle. W
 second, the next one tells when the demand is latched, and the demand published before it is the one latched.
 """
 
+from surffollow.forecast.plant.axis_model import PERIOD_S
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
@@ -13,8 +15,7 @@ DEFAULT_PERIOD_NS = 9_999_000  # 100 Hz; a microsecond less, timestamps may be r
 PREPARATION_NS = 8_900_000
 LATCH_DELAY_NS = 500_000  # latch time before the cycle that sees the report, on average
 MIN_PERIOD_NS, MAX_PERIOD_NS = 6_000_000, 14_000_000  # between two periods synchronised by reports
-PERIOD_TOLERANCE_NS = 1_000_000  # of the mean interval of reports from 10 ms
-REPORT_TIMEOUT_NS = 50_000_000  # without a report for so long there is no synchronisation
+PERIOD_TOLERANCE_NS = 1_000_000  # of the mean interval of reports from `PERIOD_S`
 PERIOD_RATE = 0.1  # of the usual interval, per report
 
 
@@ -24,8 +25,8 @@ def is_synchronised(controller, ranges_given, now_ns):
 
     With `ranges_given` > 0 the caller latches each answer himself; then reports are not used.
     """
-    steady = abs(controller.interval_ns - 10e6) < PERIOD_TOLERANCE_NS
-    return ranges_given <= 0 and steady and 0 <= now_ns - controller.report_ns < REPORT_TIMEOUT_NS
+    steady = abs(controller.interval_ns - PERIOD_S * 1e9) < PERIOD_TOLERANCE_NS
+    return ranges_given <= 0 and steady and 0 <= now_ns - controller.report_ns < MAX_GAP_NS
 
 
 @jit
@@ -89,7 +90,7 @@ def observe_report(controller, poses, now_ns):
     if poses == controller.report_count:
         return
     dt = now_ns - controller.report_ns
-    if 0 < dt < REPORT_TIMEOUT_NS:
+    if 0 < dt < MAX_GAP_NS:
         rate = PERIOD_RATE if controller.interval_ns > 0.0 else 1.0
         controller.interval_ns += rate * (dt - controller.interval_ns)
     controller.report_ns, controller.report_count = now_ns, poses

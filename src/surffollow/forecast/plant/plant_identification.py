@@ -7,9 +7,9 @@ errors are equal, and the configured time constant stays.
 
 import math
 
-from surffollow.forecast.plant.axis_model import step_axis
+from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, step_axis
 from surffollow.forecast.plant.controller_clock import oldest_period, period_at
-from surffollow.forecast.plant.shadow_axes import AXIS_STEP_NS, MAX_AXIS_GAP_NS
+from surffollow.forecast.plant.shadow_axes import MAX_AXIS_GAP_NS
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import N_PLANTS

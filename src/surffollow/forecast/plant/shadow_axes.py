@@ -3,21 +3,19 @@
 import math
 
 from surffollow.forecast.estimation.model_bank import N_MODELS
-from surffollow.forecast.plant.axis_model import step_axis
+from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, PERIOD_S, step_axis
 from surffollow.forecast.plant.controller_clock import oldest_period, period_at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import MAX_MODELS, N_PERIODS
 
-AXIS_STEP_NS = 2_000_000  # of the shadow axes
 MAX_AXIS_STEPS = 32  # bounds the work per sample
 MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
 MAX_LAG_S = 0.32  # of a sensor that trails: half the setpoints kept, the others are for its latency
 MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest, too
 MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
 EFFORT_RATE = 0.02  # per controller period
-EFFORT_UNIT = 1.0  # (1 m/s²)²
 MAX_EFFORT = 100.0  # (10 m/s²)²: bounds the memory of a step
-PERIOD_RATE_HZ2 = 1e4  # squared rate of the controller, 100 Hz
+PERIOD_RATE_HZ2 = 1.0 / PERIOD_S**2  # squared rate of the controller
 
 
 @jit
@@ -95,7 +93,7 @@ def update_effort(adaptive):
                 shadow.setpoint_m[now + i] - 2.0 * shadow.setpoint_m[one + i] + shadow.setpoint_m[two + i]
             )
             shadow.effort[i] += EFFORT_RATE * (min(accel * accel, MAX_EFFORT) - shadow.effort[i])
-            shadow.log_effort[i] = math.log(shadow.effort[i] / EFFORT_UNIT + 1.0)
+            shadow.log_effort[i] = math.log(shadow.effort[i] + 1.0)  # in (1 m/s²)²
 
 
 @jit

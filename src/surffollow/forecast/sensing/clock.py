@@ -2,6 +2,7 @@
 
 from surffollow.shm.jit import jit
 
+MAX_GAP_NS = 50_000_000  # longer without a sample or report: a drop-out; nothing is extrapolated over it
 CLOCK_JUMP_NS = 1_000_000_000  # late samples are never so late: it is another clock; at the reference time 1
 
 

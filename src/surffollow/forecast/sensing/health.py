@@ -2,7 +2,10 @@
 
 import math
 
+from surffollow.forecast.attitude.beam_detection import REPEAT_BAND
 from surffollow.forecast.attitude.rotation_response import has_failed
+from surffollow.forecast.estimation.model_weights import BURN_IN_SAMPLES
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
@@ -31,8 +34,7 @@ from surffollow.shm.layout_adaptive_sensing import STUCK_COUNT
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
-DROPOUT_NS = 50_000_000  # no sample for so long beyond the usual delay …
-DROPOUT_INTERVALS = 2.5  # … or for so many usual intervals of a slow sensor …
+DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out …
 MAX_DROPOUT_S = 1.0  # … but no longer than this
 INTERVAL_READINGS = 8  # readings over which the usual interval of a channel's readings is averaged
 # a loss that began so near an end of the window, or as near as the next sample may be, is OUT_OF_RANGE
@@ -40,14 +42,12 @@ WINDOW_EDGE_M = 0.003
 STUCK_SAMPLES = 50  # equal samples …
 STUCK_S, STUCK_MIN_SAMPLES = 0.4, 8.0  # … or, of a slow sensor, for so long, and at least so many …
 STUCK_TRAVEL_M = 0.005  # … while the tool moves so far along z are a stuck-at fault
-STUCK_BAND = 0.25  # of the noise: samples so near the first of a run are alike; 1 of 7 by chance
 FLOOR_RATE = 0.001  # at which the least noise rises to the present one, per sample
 STUCK_MARGIN, STUCK_RATIO = 2.0, 4.0  # with a known sensor: this plus so many usual runs of equal samples …
 STUCK_MAX_SAMPLES = 200.0  # … but no more than this
 STUCK_RESET_RATIO = 4.0  # in repeat limits: then the estimate is discarded
 STUCK_MIN_TRAVEL_M = 0.002  # no less, or noise could hide the response
 REPEAT_RATE, REPEAT_BURN_IN_RATE = 0.02, 0.05  # at which the longest run fades
-REPEAT_BURN_IN_SAMPLES = 200  # scored samples that end the higher rate
 CLOSE_CONFIRMATION_SAMPLES = 3  # a single glitch is not the fold-back
 
 
@@ -78,7 +78,7 @@ def update_usual_repeats(adaptive, n):
         health.usual_repeats = n
     else:
         health.usual_repeats += (
-            REPEAT_RATE if adaptive.weights.scored >= REPEAT_BURN_IN_SAMPLES else REPEAT_BURN_IN_RATE
+            REPEAT_RATE if adaptive.weights.scored >= BURN_IN_SAMPLES else REPEAT_BURN_IN_RATE
         ) * (n - health.usual_repeats)
 
 
@@ -88,7 +88,7 @@ def repeats_range(health, range_m):
     return (
         1
         if health.repeat_count > 0
-        and abs(range_m - health.repeat_range_m) <= STUCK_BAND * health.noise_floor_m
+        and abs(range_m - health.repeat_range_m) <= REPEAT_BAND * health.noise_floor_m
         else 0
     )
 
@@ -97,7 +97,7 @@ def repeats_range(health, range_m):
 def update_noise_floor(adaptive):
     """Track the least noise of the readings: on rough ground they are noisier than the sensor."""
     health, sigma = adaptive.health, adaptive.noise.sigma_m
-    if adaptive.weights.scored < REPEAT_BURN_IN_SAMPLES:
+    if adaptive.weights.scored < BURN_IN_SAMPLES:
         health.noise_floor_m = 0.0
     elif health.noise_floor_m == 0.0:
         health.noise_floor_m = sigma
@@ -160,7 +160,7 @@ def dropout_tolerance_s(prediction):
 def is_dropout(adaptive):
     """Whether samples of channel 0 are missing."""
     return adaptive.clock.now_ns - adaptive.hold.t_ns > adaptive.latency.delay_s * 1e9 + max(
-        DROPOUT_NS, dropout_tolerance_s(adaptive.prediction) * 1e9
+        MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9
     )
 
 
@@ -202,7 +202,7 @@ def silent_channels(params, health, now_ns):
     if params.n_channels > 1:
         for c in range(params.n_channels):
             tolerance_ns = min(DROPOUT_INTERVALS * health.interval_ns[c], MAX_DROPOUT_S * 1e9)
-            if now_ns - health.reading_ns[c] > max(DROPOUT_NS, tolerance_ns):
+            if now_ns - health.reading_ns[c] > max(MAX_GAP_NS, tolerance_ns):
                 silent |= 1 << c
     return silent
 

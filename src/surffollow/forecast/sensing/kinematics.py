@@ -3,15 +3,15 @@
 import math
 
 from surffollow.forecast.pose import pose_at
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
-SPEED_WINDOW_NS = 100_000_000  # over which the lateral velocity is taken: noise of the reports averages out
+# over which the lateral velocity is taken: noise averages out; reports farther apart show no jump
+SPEED_WINDOW_NS = 100_000_000
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MAX_POSE_GAP_NS = 1_000_000_000  # a report older than the newest by this belongs to another motion
-MAX_EXTRAPOLATION_NS = 50_000_000  # a pose is extrapolated by its velocity no farther
-MAX_JUMP_M = 0.02  # distance between two reports beyond the velocity: more is a jump of the frame …
-MAX_JUMP_INTERVAL_NS = 100_000_000  # … when they are not farther apart in time
+MAX_JUMP_M = 0.02  # distance between two reports beyond the velocity: more is a jump of the frame
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
 
@@ -43,7 +43,7 @@ def note_jump(params, kinematics, sense):
     n = sense.pose_count
     last, previous = (n - 1) & (POSES - 1), (n - 2) & (POSES - 1)
     span_ns = sense.pose_t_ns[last] - sense.pose_t_ns[previous]
-    if not 0 < span_ns <= MAX_JUMP_INTERVAL_NS:
+    if not 0 < span_ns <= SPEED_WINDOW_NS:
         return 0
     dt = span_ns * 1e-9
     way_x = sense.pose[7 * last] - sense.pose[7 * previous]
@@ -52,7 +52,7 @@ def note_jump(params, kinematics, sense):
     square = dx * dx + dy * dy
     before = (n - 3) & (POSES - 1)
     span_before_ns = sense.pose_t_ns[previous] - sense.pose_t_ns[before] if n > 2 else 0
-    if 0 < span_before_ns <= MAX_JUMP_INTERVAL_NS:
+    if 0 < span_before_ns <= SPEED_WINDOW_NS:
         ratio = span_ns / span_before_ns
         dx = way_x - ratio * (sense.pose[7 * previous] - sense.pose[7 * before])
         dy = way_y - ratio * (sense.pose[7 * previous + 1] - sense.pose[7 * before + 1])
@@ -110,7 +110,7 @@ def predict_pose(kinematics, sense, t_ns, pose):
     pose_at(sense, t_ns, 1, pose)
     late = t_ns - sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
     if late > 0:
-        dt = min(late, MAX_EXTRAPOLATION_NS) * 1e-9
+        dt = min(late, MAX_GAP_NS) * 1e-9
         pose[0] += kinematics.velocity_x_mps * dt
         pose[1] += kinematics.velocity_y_mps * dt
         pose[2] += kinematics.climb_mps * dt

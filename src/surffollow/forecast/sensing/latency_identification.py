@@ -20,7 +20,7 @@ OUTLIER_GATE_M = 8e-3  # heights so far from the mean are glitches
 MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
 RESIDUAL_LIMIT_M = 0.5e-3  # left by the regression, beyond the noise: the ground was not one spot
 DRIFT_S = 1e-3  # standard deviation of the latency's drift between two rests
-DELAY_RATE = 0.05  # of the usual delay, per sample
+USUAL_VALUE_RATE = 0.05  # of the usual delay, lead and spacing, per sample
 
 
 @jit
@@ -35,7 +35,7 @@ def reset_window(latency):
 @jit
 def update_delay(latency, delay_s):
     """Update the usual delay with that of a sample [s]."""
-    latency.delay_s += DELAY_RATE * (delay_s - latency.delay_s)
+    latency.delay_s += USUAL_VALUE_RATE * (delay_s - latency.delay_s)
 
 
 @jit

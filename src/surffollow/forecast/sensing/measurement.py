@@ -13,8 +13,8 @@ from surffollow.forecast.estimation.estimate import discard_estimate, reverse_es
 from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.fold_back import watch_fold_back
 from surffollow.forecast.pose import footprint, rotate
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.health import (
-    DROPOUT_NS,
     count_close,
     dropout_tolerance_s,
     is_stuck,
@@ -23,7 +23,7 @@ from surffollow.forecast.sensing.health import (
     update_stuck,
 )
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, predict_pose
-from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
+from surffollow.forecast.sensing.latency_identification import USUAL_VALUE_RATE, observe_height, update_delay
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.response import is_unresponsive, observe_response
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
@@ -32,9 +32,6 @@ from surffollow.forecast.terrain.preview import compare_map, monitor_error, with
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES, RUN_FREEZE, RUN_NORMAL
-
-LEAD_RATE = 0.05  # of the lead, per sample
-SPACING_RATE = 0.05  # of the usual spacing, per sample
 
 
 @jit
@@ -115,7 +112,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     predict_pose(kinematics, sense, t, pose)
     stuck_for_long, unresponsive = is_stuck_permanently(adaptive), is_unresponsive(adaptive.response)
     update_stuck(adaptive, repeated, range_m, pose[2])
-    gap_s = dropout_tolerance_s(adaptive.prediction) + DROPOUT_NS * 1e-9
+    gap_s = dropout_tolerance_s(adaptive.prediction) + MAX_GAP_NS * 1e-9
     mean_m = range_m if orients == 0 else mean_range(beams, params.n_channels, t, range_m)
     observe_response(params, adaptive, t, mean_m, pose[2], gap_s)
     now_stuck = is_stuck(health) + is_unresponsive(adaptive.response)
@@ -150,13 +147,13 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
         lead = (
             lead_x * kinematics.velocity_x_mps + lead_y * kinematics.velocity_y_mps
         ) / kinematics.speed_mps
-        sample.lead_m += (lead - sample.lead_m) * (LEAD_RATE if estimate.samples > 0 else 1.0)
+        sample.lead_m += (lead - sample.lead_m) * (USUAL_VALUE_RATE if estimate.samples > 0 else 1.0)
     travel = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
     if estimate.samples > 0 and is_slow(adaptive):  # the tool may have turned since the sample before
         travel = math.hypot(x - sample.x_m, y - sample.y_m)
     follow_heading(adaptive, x, y)
     standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
-    sample.spacing_m += SPACING_RATE * (travel - sample.spacing_m)
+    sample.spacing_m += USUAL_VALUE_RATE * (travel - sample.spacing_m)
     sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + travel
     if compare_lookahead(adaptive, sample.arc_length_m, z) != 0:
         withdraw_preview(adaptive.preview)

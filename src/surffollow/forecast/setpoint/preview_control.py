@@ -15,7 +15,7 @@ from surffollow.forecast.plant.axis_model import PERIOD_S, invert_axis
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
-ITERATIONS, EARLY_ITERATIONS = 25, 50  # more of them with early points
+ITERATIONS = 25  # twice as many with early points
 ADMM_PENALTY = (
     60.0  # converges in the fixed number of iterations (compared with a general solver in the tests)
 )
@@ -152,7 +152,7 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
         plan.multiplier_m[k] = plan.multiplier_m[k + 1]
     plan.acceleration_m[n - 1] = plan.multiplier_m[n - 1] = 0.0
     rounds = ITERATIONS
-    for i in range(EARLY_ITERATIONS):
+    for i in range(2 * ITERATIONS):
         if i >= rounds:
             break
         for k in range(n):
@@ -174,7 +174,7 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
         solve(plan)
         if mark_early(adaptive, known, standoff_m, z_m) > 0:
             factorise(plan, known, stiffness)
-            rounds = EARLY_ITERATIONS
+            rounds = 2 * ITERATIONS
         z2, z1 = before, 0.0
         for k in range(n):
             b = plan.position_m[k] - 2.0 * z1 + z2

@@ -12,6 +12,7 @@ from surffollow.forecast.plant.controller_clock import begin_period
 from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.measurement import has_turned_back
+from surffollow.forecast.setpoint.setpoint_limits import PAUSE_S
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit
 
@@ -20,7 +21,6 @@ UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer i
 RATE_STEP_S = 0.005  # over which the rate of the blended setpoint is taken
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5  # in deadbands
-FILTER_GAP_S = 0.1  # after a longer pause the filter begins at the blend
 SLOPE_LIMIT = 0.2  # slope that is never clamped …
 SLOPE_LIMIT_RMS = 3.0  # … or multiples of the RMS slope of the last metre …
 HEIGHT_MARGIN_M = 1e-3  # … plus this
@@ -139,7 +139,7 @@ def filter_setpoint(params, adaptive, target_m):
     if dt == 0.0:
         return blend.filtered_m
     blend.filtered_ns = clock.now_ns
-    if not 0.0 < dt < FILTER_GAP_S:
+    if not 0.0 < dt < PAUSE_S:
         blend.filtered_m = target_m
         return target_m
     blend.filtered_m += blend.rate_mps * dt

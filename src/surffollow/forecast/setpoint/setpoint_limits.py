@@ -11,7 +11,7 @@ import math
 
 from surffollow.shm.jit import jit
 
-PAUSE_S = 0.1  # after so long without a call the setpoint begins at the tool …
+PAUSE_S = 0.1  # after so long without a call the filter begins at the blend, the setpoint at the tool …
 PAUSE_INTERVALS = 3.0  # … or after so many intervals of a slow caller
 MAX_INTERVAL_S = 1.5  # longest interval that is taken as usual
 INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this; later ones double it at most

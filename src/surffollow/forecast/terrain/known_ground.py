@@ -6,7 +6,8 @@ lies below what channel 0 measures, preview pulls the tool toward the surface.
 
 from surffollow.shm.jit import jit
 
-CONTRADICTION_M = 1.5e-3  # channel 0 above the known ground by this …
+DISAGREEMENT_M = 1.5e-3  # heights of one place that differ by more disagree
+# channel 0 above the known ground by that …
 CONTRADICTION_SIGMAS = 6.0  # … or by so many standard deviations of a reading …
 CONTRADICTION_SAMPLES = 2  # … so often in a row: the known ground is wrong
 REGISTRATION_M = 2e-3  # error of the place of a known height
@@ -35,7 +36,7 @@ def compare_known_ground(adaptive, height_behind_m, height_here_m, height_ahead_
         lowest = height_behind_m
     if height_ahead_m < lowest:
         lowest = height_ahead_m
-    gate = max(CONTRADICTION_M, CONTRADICTION_SIGMAS * adaptive.noise.sigma_m)
+    gate = max(DISAGREEMENT_M, CONTRADICTION_SIGMAS * adaptive.noise.sigma_m)
     spacing = adaptive.sample.spacing_m
     fading = min(spacing / DROP_LENGTH_M, 1.0) if known.samples > 0 else 1.0
     known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)

@@ -8,11 +8,10 @@ import math
 
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.sensing.kinematics import predict_pose
-from surffollow.forecast.terrain.known_ground import REGISTRATION_M, compare_known_ground
+from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M, REGISTRATION_M, compare_known_ground
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M, buffered_height, store_ground_at
 from surffollow.shm.jit import jit
 
-AGREEMENT_M = 1.5e-3  # heights of two samples in a row that confirm each other
 BIAS_RATE = 0.02  # of the bias, per sample
 MAX_BIAS_M = 5e-3  # greater differences are not a bias
 MAX_LEAD_M = 0.4  # length of the terrain buffer, with a margin
@@ -54,7 +53,7 @@ def observe_lookahead(params, adaptive, sense, moving, pose):
         across = (
             (x - sample.x_m) * kinematics.velocity_y_mps - (y - sample.y_m) * kinematics.velocity_x_mps
         ) / kinematics.speed_mps
-        agrees = abs(z - lookahead.height_m[c]) < AGREEMENT_M
+        agrees = abs(z - lookahead.height_m[c]) < DISAGREEMENT_M
         lookahead.height_m[c] = z
         if not agrees or not MIN_LEAD_M < along < MAX_LEAD_M or abs(across) > MIN_LEAD_M:
             continue

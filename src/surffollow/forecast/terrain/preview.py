@@ -7,7 +7,7 @@ distances ahead of the point under the newest pose.
 import math
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
-from surffollow.forecast.terrain.known_ground import REGISTRATION_M, compare_known_ground
+from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M, REGISTRATION_M, compare_known_ground
 from surffollow.forecast.terrain.terrain_buffer import buffered_height
 from surffollow.forecast.terrain.terrain_regression import DISTANCES_M, RISE_LENGTH_M, predict_rise
 from surffollow.shm.jit import jit
@@ -27,7 +27,6 @@ MAX_MODEL_ERROR_M2 = 4e-8  # (0.2 mm)²: beyond, the axis model is too wrong for
 LEADING_MAX_MODEL_ERROR_M2 = 1e-6  # (1 mm)²
 REFERENCE_RATE, ERROR_RATE = 0.002, 0.01  # per sample, without and with preview
 SUSPENSION_NS = 5_000_000_000  # after an error that is worse than without
-MAX_MAP_DEVIATION_M = 1.5e-3  # beyond, the ground has changed since it was mapped
 CONTRADICTION_NS = 100_000_000  # the map is not used for so long after samples that contradict it
 
 
@@ -169,7 +168,7 @@ def update_share(adaptive, known, leading, plant_m2):
     trusted = (
         adaptive.clock.now_ns >= preview.suspended_until_ns
         and plant_m2 < MAX_MODEL_ERROR_M2
-        and preview.map_deviation_m < MAX_MAP_DEVIATION_M
+        and preview.map_deviation_m < DISAGREEMENT_M
     )
     usable = known >= MIN_KNOWN_PERIODS and (
         trusted or (leading != 0 and plant_m2 < LEADING_MAX_MODEL_ERROR_M2)

@@ -8,7 +8,7 @@ import math
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
-CELL_M = 1e-3  # length of a cell along the path
+CELL_M = 1e-3  # length of a cell along the path, side of a cell of the terrain memory
 MIN_LEAD_M = 0.005  # a footprint this far ahead leads
 MAX_HOLE_CELLS = 8  # holes up to this long are bridged
 # greatest distance from the path, or share of the distance along it

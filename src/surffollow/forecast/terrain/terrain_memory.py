@@ -13,17 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.forecast.reference_scales import dimensionless_time
+from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS
+from surffollow.forecast.terrain.preview_schedule import MAX_SPEED_MPS
+from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MAX_PREVIEW, POSES
 
 CELLS = 1 << 16  # number of cells
-CELL_M = 1e-3  # side of a cell
 PROBES = 8  # per cell
 MAX_COUNT = 64.0  # heights in a mean, at most
 MAX_INDEX = 1 << 31  # of a cell
 CURRENT_PASS_NS = 1_000_000_000  # younger heights belong to the present pass
 BEHIND_S, AHEAD_S = 0.06, 0.45  # piece of the path that a preview covers
-MIN_SPEED_MPS, MAX_SPEED_MPS = 5e-3, 10.0  # outside there is no direction of travel
 MEMORY = np.dtype(
     [(name, np.int64) for name in ("ix", "iy", "t_ns")]
     + [(name, np.float64) for name in ("n", "height_m", "n_before", "height_before_m")]
@@ -128,7 +129,7 @@ def read_preview(memory, state, inputs):
     kinematics, sample = adaptive.kinematics, adaptive.sample
     i.n_preview = 0
     v = kinematics.speed_mps
-    if sense.pose_count == 0 or not MIN_SPEED_MPS <= v < MAX_SPEED_MPS:
+    if sense.pose_count == 0 or not MIN_DIRECTION_SPEED_MPS <= v < MAX_SPEED_MPS:
         return
     tool = 7 * ((sense.pose_count - 1) & (POSES - 1))
     x, y = sense.pose[tool] / d.length + sample.tip_x_m, sense.pose[tool + 1] / d.length + sample.tip_y_m
