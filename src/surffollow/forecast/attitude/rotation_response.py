@@ -16,13 +16,12 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between
 from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.response import (
-    ERROR_MOTION,
-    LAG_TAUS,
     MIN_MEANS,
     MOTION_BANDS,
     RUN_SAMPLES,
     STOP_TAUS,
     TEST_BAND_FACTOR,
+    is_suspicious,
 )
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import (
@@ -119,8 +118,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     if rotation.phase == ROTATION_RUN:
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
         deviation = math.hypot(run[0], run[1])
-        unexplained = deviation > max(band, LAG_TAUS * tau_s * rate)
-        wrong = unexplained and deviation * turn > ERROR_MOTION * band * params.max_tilt_rad
+        wrong = is_suspicious(deviation, turn, rate, band, tau_s, params.max_tilt_rad)
         far = turn > FAR_TURN * params.max_tilt_rad
         if rotation.run_samples > MIN_MEANS * number and turn > MOTION_BANDS * band and (wrong or far):
             rotation.rate_radps = rate

@@ -16,7 +16,7 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_RUN
 
 MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
-ERROR_MOTION = 0.36  # of a band times the stand-off: error times descent; a small one needs a long one
+ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
 SHIFT_ERROR_MOTION = 0.06  # error times descent as above from which a fast sensor is tested by a shift
 SHIFT_DESCENT = 0.3  # of the stand-off: beyond, the setpoint is shifted up …
@@ -59,6 +59,19 @@ def _observe_noise(response, range_m):
         response.usual_m = response.noise_m
     elif response.noise_m > QUIET_SHARE * response.usual_m:
         response.usual_m += USUAL_RATE * min(response.noise_m - response.usual_m, response.usual_m)
+
+
+@jit
+def is_suspicious(error, motion, rate, band, tau_s, reach):
+    """Whether an error that does not change is too great for a lag, and for the motion of the run.
+
+    Parameters
+    ----------
+    error, motion, rate, band : float64  error, motion of the tool and its rate, band of the noise [m or rad]
+    tau_s : float64                      time constant of the axis [s]
+    reach : float64                      motion that the surface leaves to the tool [m or rad]
+    """
+    return error > max(band, LAG_TAUS * tau_s * rate) and error * motion > ERROR_MOTION * band * reach
 
 
 @jit
@@ -111,10 +124,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
         error = (
             abs(response.run_range_m - params.offset_m) if abs(adaptive.sample.lead_m) < MIN_LEAD_M else 0.0
         )
-        wrong = (
-            error > max(band, LAG_TAUS * tau * rate)
-            and error * descent > ERROR_MOTION * band * params.offset_m
-        )
+        wrong = is_suspicious(error, descent, rate, band, tau, params.offset_m)
         long = response.run_samples > MIN_LONG_MEANS * number
         far = long and descent > FAR_DESCENT * params.offset_m
         doubtful = (  # with fewer samples in τ the ground changes while the answer is awaited
