@@ -27,15 +27,9 @@ def compare_known_ground(adaptive, height_behind_m, height_here_m, height_ahead_
     h_m : float64            channel 0's height [m]
     """
     known = adaptive.known
-    highest, lowest = height_here_m, height_here_m
-    if height_behind_m > highest:  # not for NaN
-        highest = height_behind_m
-    if height_ahead_m > highest:
-        highest = height_ahead_m
-    if height_behind_m < lowest:
-        lowest = height_behind_m
-    if height_ahead_m < lowest:
-        lowest = height_ahead_m
+    # the first one is known; NaN is neither greater nor less
+    highest = max(height_here_m, height_behind_m, height_ahead_m)
+    lowest = min(height_here_m, height_behind_m, height_ahead_m)
     gate = max(DISAGREEMENT_M, CONTRADICTION_SIGMAS * adaptive.noise.sigma_m)
     spacing = adaptive.sample.spacing_m
     fading = min(spacing / DROP_LENGTH_M, 1.0) if known.samples > 0 else 1.0
