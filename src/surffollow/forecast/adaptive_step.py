@@ -32,7 +32,12 @@ from surffollow.forecast.sensing.health import (
     latch_fault,
     update_health,
 )
-from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, has_jumped, update_kinematics
+from surffollow.forecast.sensing.kinematics import (
+    MIN_DIRECTION_SPEED_MPS,
+    distance_along,
+    has_jumped,
+    update_kinematics,
+)
 from surffollow.forecast.sensing.measurement import process_sample, standoff_height
 from surffollow.forecast.sensing.response import is_unresponsive, raised_target
 from surffollow.forecast.setpoint.preview_control import plan_setpoint
@@ -89,9 +94,8 @@ def distance_ahead(params, adaptive, pose, pose_t_ns):
     if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0.0
     gap_x, gap_y = pose[0] + sample.tip_x_m - sample.x_m, pose[1] + sample.tip_y_m - sample.y_m
-    gap = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
     delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + mean_wait_s(params, adaptive.controller)
-    return gap / kinematics.speed_mps + kinematics.speed_mps * delay_s
+    return distance_along(kinematics, gap_x, gap_y) + kinematics.speed_mps * delay_s
 
 
 @jit

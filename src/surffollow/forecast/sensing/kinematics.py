@@ -98,6 +98,12 @@ def update_kinematics(params, kinematics, sense):
 
 
 @jit
+def distance_along(kinematics, x_m, y_m):
+    """Component of a horizontal vector along the direction of travel [m]; the tool must move."""
+    return (x_m * kinematics.velocity_x_mps + y_m * kinematics.velocity_y_mps) / kinematics.speed_mps
+
+
+@jit
 def predict_pose(kinematics, sense, t_ns, pose):
     """Pose of the tool at a time into `pose`; after the newest report it is extrapolated.
 

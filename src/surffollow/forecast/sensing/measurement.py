@@ -22,7 +22,7 @@ from surffollow.forecast.sensing.health import (
     repeats_range,
     update_stuck,
 )
-from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, predict_pose
+from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, distance_along, predict_pose
 from surffollow.forecast.sensing.latency_identification import USUAL_VALUE_RATE, observe_height, update_delay
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.response import is_unresponsive, observe_response
@@ -143,10 +143,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if orients == 0:
         sample.tip_x_m, sample.tip_y_m, _ = axis_ground_point(params, pose)
     if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
-        lead_x, lead_y = x - tool_x - sample.tip_x_m, y - tool_y - sample.tip_y_m
-        lead = (
-            lead_x * kinematics.velocity_x_mps + lead_y * kinematics.velocity_y_mps
-        ) / kinematics.speed_mps
+        lead = distance_along(kinematics, x - tool_x - sample.tip_x_m, y - tool_y - sample.tip_y_m)
         sample.lead_m += (lead - sample.lead_m) * (USUAL_VALUE_RATE if estimate.samples > 0 else 1.0)
     travel = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
     if estimate.samples > 0 and is_slow(adaptive):  # the tool may have turned since the sample before
@@ -165,9 +162,8 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if abs(sample.lead_m) < MIN_LEAD_M and params.run == RUN_NORMAL:
         monitor_error(adaptive, tool_z - standoff - z)
     if inputs.n_preview > 0 and kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
-        gap_x, gap_y = x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m
-        lateral = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
-        compare_map(adaptive, inputs, lateral / kinematics.speed_mps, z)
+        ahead = distance_along(kinematics, x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m)
+        compare_map(adaptive, inputs, ahead, z)
     if orients == 0:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z

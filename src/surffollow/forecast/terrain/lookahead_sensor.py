@@ -7,7 +7,7 @@ difference to channel 0 is estimated where channel 0 passes.
 import math
 
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.sensing.kinematics import predict_pose
+from surffollow.forecast.sensing.kinematics import distance_along, predict_pose
 from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M, REGISTRATION_M, compare_known_ground
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M, buffered_height, store_ground_at
 from surffollow.shm.jit import jit
@@ -47,12 +47,9 @@ def observe_lookahead(params, adaptive, sense, moving, pose):
         t -= int(adaptive.latency.correction_s * 1e9)
         predict_pose(kinematics, sense, t, pose)
         x, y, z, _ = footprint(pose, params.tool_from_sensor, c, sense.range_m[c])
-        along = (
-            (x - sample.x_m) * kinematics.velocity_x_mps + (y - sample.y_m) * kinematics.velocity_y_mps
-        ) / kinematics.speed_mps
-        across = (
-            (x - sample.x_m) * kinematics.velocity_y_mps - (y - sample.y_m) * kinematics.velocity_x_mps
-        ) / kinematics.speed_mps
+        dx, dy = x - sample.x_m, y - sample.y_m
+        along = distance_along(kinematics, dx, dy)
+        across = (dx * kinematics.velocity_y_mps - dy * kinematics.velocity_x_mps) / kinematics.speed_mps
         agrees = abs(z - lookahead.height_m[c]) < DISAGREEMENT_M
         lookahead.height_m[c] = z
         if not agrees or not MIN_LEAD_M < along < MAX_LEAD_M or abs(across) > MIN_LEAD_M:
