@@ -100,7 +100,7 @@ def distance_ahead(params, adaptive, pose, pose_t_ns):
 
 @jit
 def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
-    """Blended setpoint [m], and 1 when a controller period begins.
+    """Blended setpoint [m], and whether a controller period begins.
 
     The models are blended when a sample, a pose or a controller period is new. In between the blend
     continues at the rate that the models predict.
@@ -114,11 +114,11 @@ def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
 
     Returns
     -------
-    float64 [m], int64
+    float64 [m], bool
     """
     clock, blend = adaptive.clock, adaptive.blend
     due = period_is_due(adaptive.controller, inputs.n_ranges, clock.now_ns)
-    if due != 0 or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
+    if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
         target = blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
     else:
         target = blend.setpoint_m + blend.rate_mps * (clock.now_ns - blend.t_ns) * 1e-9
@@ -138,16 +138,16 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     """
     clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
     lookahead = adaptive.lookahead
-    leads = 1 if adaptive.sample.lead_m > MIN_LEAD_M else 0
+    leads = adaptive.sample.lead_m > MIN_LEAD_M
     trusted = adaptive.sample.arc_length_m >= lookahead.trusted_from_m
-    another_leads = 1 if lookahead.lead_m > MIN_LEAD_M and trusted else 0
+    another_leads = lookahead.lead_m > MIN_LEAD_M and trusted
     open_period(controller, inputs.n_ranges, clock.now_ns)
     latch_ns = latch_time(controller, inputs.n_ranges, clock.now_ns)
     since_pose_m = kinematics.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = mean_wait_s(params, controller)
     at_latch_m = ahead_m + kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - wait_s)
-    bias_m = lookahead.bias_m if another_leads != 0 and leads == 0 else 0.0
-    known = collect_preview(adaptive, inputs, max(leads, another_leads), at_latch_m, since_pose_m, bias_m)
+    bias_m = lookahead.bias_m if another_leads and not leads else 0.0
+    known = collect_preview(adaptive, inputs, leads or another_leads, at_latch_m, since_pose_m, bias_m)
     update_share(adaptive, known, leads, model_error(adaptive.plant))
     if known >= MIN_KNOWN_PERIODS:
         z, v = predict_axis(params, adaptive, latch_ns)
@@ -203,29 +203,29 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     controller, setpoint = adaptive.controller, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
-    orients = 1 if params.orient != 0 and params.n_channels >= 3 else 0
-    if update_clock(clock, inputs.t_ns, pose_t_ns) != 0:
+    orients = params.orient != 0 and params.n_channels >= 3
+    if update_clock(clock, inputs.t_ns, pose_t_ns):
         reset_timestamps(adaptive)
-    if update_kinematics(params, kinematics, sense) != 0:
+    if update_kinematics(params, kinematics, sense):
         release_setpoint(setpoint)  # it is in the frame before the jump
-    update_plant(params, adaptive, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
+    update_plant(params, adaptive, sense, params.adapt != 0 and params.run == RUN_NORMAL)
     process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
-    if orients == 0 and params.n_channels > 1:
-        moving = 1 if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0
+    if not orients and params.n_channels > 1:
+        moving = kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS
         observe_lookahead(params, adaptive, sense, moving, pose)
-    stuck = min(is_stuck(health) + is_unresponsive(adaptive.response), 1)
+    stuck = is_stuck(health) or is_unresponsive(adaptive.response)
     update_health(params, adaptive, sense, stuck)
-    if has_jumped(kinematics, clock.now_ns) != 0:
+    if has_jumped(kinematics, clock.now_ns):
         withdraw_preview(adaptive.preview)
         reset_known_ground(adaptive.known)
     status = VALID
     if health.state == DROPOUT or health.state == OUT_OF_RANGE or health.state == STUCK:
         status |= NO_SENSOR
-    if stuck != 0:
+    if stuck:
         latch_fault(health, FAULT_STUCK)
         withdraw_preview(adaptive.preview)
-    if is_lost(params, adaptive) != 0:
-        if estimate.samples > 0 and stuck == 0:
+    if is_lost(params, adaptive):
+        if estimate.samples > 0 and not stuck:
             latch_fault(health, FAULT_LOST)
         release_setpoint(setpoint)
         withdraw_preview(adaptive.preview)
@@ -238,14 +238,14 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     ahead = distance_ahead(params, adaptive, pose, pose_t_ns)
     observe_report(controller, sense.pose_count, clock.now_ns)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff)
-    if due != 0:
+    if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff)
     target = target_of_preview(params, adaptive, target, standoff)
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     if estimate.samples < INITIALISATION_SAMPLES or few:
         target = max(target, tool_z)  # no descent over ground that is hardly known
     target = raised_target(adaptive.response, raised_by_withheld(adaptive, target, standoff))
-    if stuck != 0:  # ground that is not seen may rise as steeply as it did before
+    if stuck:  # ground that is not seen may rise as steeply as it did before
         rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
         target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
     if estimate.frame < kinematics.jump_pose and kinematics.jump_ns <= clock.now_ns:
@@ -264,7 +264,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         limited = max(limited, min(PROBE_M, params.max_demand_m))
         release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     output.demand[2] = limited
-    if fold.close == 0 and stuck == 0 and orients != 0 and adaptive.plane.count > 0:
+    if fold.close == 0 and not stuck and orients and adaptive.plane.count > 0:
         demand_rotation(params, adaptive, sense, output)
     if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
         record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))

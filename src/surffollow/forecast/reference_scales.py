@@ -118,8 +118,8 @@ def choose_scales(params, state):
 
 @jit_inlined
 def is_unscaled(d):
-    """1 when dimensionless numbers are metres and seconds."""
-    return 1 if d.length == 1.0 and d.shift == 0 else 0
+    """Whether dimensionless numbers are metres and seconds."""
+    return d.length == 1.0 and d.shift == 0
 
 
 @jit_inlined

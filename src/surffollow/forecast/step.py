@@ -196,17 +196,17 @@ def adaptive_cycle(params, adaptive, sense, fold, inputs, output, pose, ready):
     ----------
     params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
     pose : (7,) float64 scratch
-    ready : int              0: no pose, or a stale one
+    ready : bool             there is a pose that is not stale
 
     Returns
     -------
     int
         Status bits.
     """
-    if check_configured_latency(params, adaptive.latency) != 0:
+    if check_configured_latency(params, adaptive.latency):
         reset_hold(adaptive.hold)
     status = 0
-    if ready != 0:
+    if ready:
         status = compute_demand(params, adaptive, sense, fold, inputs, output, pose)
     publish_estimate(params, adaptive, output)
     return status
@@ -222,7 +222,7 @@ def scaled_adaptive_cycle(params, state, inputs, output, pose, ready):
     d = s.scaled
     if d.length == 0.0:
         choose_scales(params, state)
-    if is_unscaled(d) != 0:
+    if is_unscaled(d):
         return adaptive_cycle(params[0], s.adaptive, s.sense, s.fold, inputs[0], output[0], pose, ready)
     scale_inputs(params, state, inputs, output)
     status = adaptive_cycle(d.params, s.adaptive, d.sense, d.fold, d.inputs, d.output, pose, ready)
@@ -253,7 +253,7 @@ def follow_step(params, state, inputs, output, scratch):
     else:
         take_conversions(p, s.sense, i)
     clear_output(p, s, i, o)
-    ready = 0
+    ready = False
     n = s.sense.pose_count
     if n == 0:
         o.pose_t_ns = 0
@@ -267,7 +267,7 @@ def follow_step(params, state, inputs, output, scratch):
                 s.sense.losses[c] += 1  # readings without a pose are as good as lost
         elif p.mode == MODE_ADAPTIVE:
             find_targets(p, s, o, scratch, 1)
-            o.status, ready = 0, 1
+            o.status, ready = 0, True
         else:
             sensor_z = find_targets(p, s, o, scratch, p.pose_interpolate)
             o.status = demand_z(p, s, i, o, sensor_z, scratch)

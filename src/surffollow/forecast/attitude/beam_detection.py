@@ -52,11 +52,11 @@ def choose_reference(params, beams, sense):
 
 @jit
 def any_beam_changed(beams, n_channels, since_ns):
-    """1 when a beam with a sample since a time did not repeat its range: not all are stuck."""
+    """Whether a beam with a sample since a time did not repeat its range: not all are stuck."""
+    changed = False
     for c in range(n_channels):
-        if beams.t_ns[c] > since_ns and beams.repeat_ns[c] == beams.t_ns[c]:
-            return 1
-    return 0
+        changed |= beams.t_ns[c] > since_ns and beams.repeat_ns[c] == beams.t_ns[c]
+    return changed
 
 
 @jit
@@ -136,7 +136,7 @@ def beam_height(adaptive, c, x_m, y_m):
 
 @jit
 def is_bent(adaptive, n_channels, gate_m):
-    """1 when the accepted beams lie on no plane within the gate, whatever its slopes."""
+    """Whether the accepted beams lie on no plane within the gate, whatever its slopes."""
     beams = adaptive.beams
     n, mx, my, mh = 0, 0.0, 0.0, 0.0
     for c in range(n_channels):
@@ -155,7 +155,7 @@ def is_bent(adaptive, n_channels, gate_m):
             xh, yh = xh + dx * dh, yh + dy * dh
     determinant = xx * yy - xy * xy
     if not determinant > 1e-4 * (xx + yy) * (xx + yy):
-        return 0
+        return False
     sx, sy = (yy * xh - xy * yh) / determinant, (xx * yh - xy * xh) / determinant
     squares = 0.0
     for c in range(n_channels):
@@ -163,7 +163,7 @@ def is_bent(adaptive, n_channels, gate_m):
             e = beams.height_m[c] - mh
             e -= sx * (beams.footprint_m[3 * c] - mx) + sy * (beams.footprint_m[3 * c + 1] - my)
             squares += e * e
-    return 1 if squares > BENT_GATE * BENT_GATE * gate_m * gate_m else 0
+    return squares > BENT_GATE * BENT_GATE * gate_m * gate_m
 
 
 @jit
@@ -220,7 +220,7 @@ def isolate_faults(adaptive, n_channels, t_ns, x_m, y_m):
             agree += 1
     majority = agree >= 3 and plane.rank == 2
     nearest = beams.sorted_m[n - 1]
-    apart = 2 * agree <= n and is_bent(adaptive, n_channels, gate) != 0
+    apart = 2 * agree <= n and is_bent(adaptive, n_channels, gate)
     # beams that deviated may meet a good one by chance: the nearest ground has to agree as well
     if n >= 4 and plane.count > 0 and (apart or (beams.inconsistent != 0 and nearest > median + gate)):
         return accept_nearest(adaptive, n_channels, nearest - gate)

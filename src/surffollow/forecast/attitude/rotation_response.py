@@ -136,8 +136,8 @@ def observe_rotation(params, adaptive, t_ns, pose):
 
 @jit
 def has_failed(rotation):
-    """1 after a test that the deviation did not follow, until it changes."""
-    return 1 if rotation.phase == ROTATION_FAILED else 0
+    """Whether the deviation did not follow a test, and has not changed since."""
+    return rotation.phase == ROTATION_FAILED
 
 
 @jit

@@ -106,7 +106,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     travel_m : float64    distance travelled by the footprint since the sample before [m], ≥ 0
     h_m : float64         height of the footprint [m]
     standoff_m : float64  desired height of the tool above the ground [m]
-    adapt : int           0: the weights stay as they are, unless this is the first sample of all
+    adapt : bool          False: the weights stay as they are, unless this is the first sample of all
     """
     noise, gate, shadow, weights = adaptive.noise, adaptive.gate, adaptive.shadow, adaptive.weights
     estimate = adaptive.estimate
@@ -120,7 +120,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         initialise_gate(gate)
         reset_delay(adaptive.latency)
     estimate.samples = 1
-    if fresh or adapt != 0:
+    if fresh or adapt:
         update_weights(params, adaptive, math.inf)  # without their filter
     reset_gate(gate)
     estimate.sample_ns = t_ns
@@ -144,7 +144,7 @@ def restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt):
     t_ns : int64          timestamp of the sample
     h_m : float64         height to begin with [m]
     standoff_m : float64  desired height of the tool above the ground [m]
-    adapt : int           as in `reset_estimate`
+    adapt : bool          as in `reset_estimate`
     """
     if adaptive.weights.scored <= adaptive.estimate.samples:
         discard_slots(adaptive.gate)
@@ -183,7 +183,7 @@ def discard_estimate(estimate):
 
 @jit
 def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
-    """Propagate the bank to a sample, gate it and update; 1 when it entered the estimate.
+    """Propagate the bank to a sample, gate it and update; whether it entered the estimate.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     travel_m : float64       distance travelled by the footprint since the sample before [m], ≥ 0
     h_m : float64            height of the footprint [m]
     standoff_m : float64     wanted height of the tool above the ground [m]
-    adapt : int              0: index, weights, noise and terrain regression stay as they are
+    adapt : bool             False: index, weights, noise and terrain regression stay as they are
     """
     noise, gate, bank, estimate = adaptive.noise, adaptive.gate, adaptive.bank, adaptive.estimate
     kinematics = adaptive.kinematics
@@ -204,7 +204,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         or t_ns - estimate.accepted_ns > params.loss_timeout_ns
     ):
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
-        return 1
+        return True
     gap = t_ns - estimate.sample_ns > max(GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
     travel = max(travel_m, MIN_SPEED_MPS * dt)
     over_ns = t_ns - int(compared_lag_s(adaptive) * 1e9)
@@ -222,33 +222,33 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     unconfirmed = gate.unconfirmed_m
     # the next one is far away: each counts; with few samples those of nearer ground do
     sparse = (plausible if innovation > 0.0 else PLAUSIBLE_SLOPE * travel) > gate_width(params, gate)
-    if not sparse and needs_second_sample(adaptive, innovation, width) != 0:
-        if adapt != 0 and estimate.samples > 1:
+    if not sparse and needs_second_sample(adaptive, innovation, width):
+        if adapt and estimate.samples > 1:
             update_scale(gate, innovation, width)  # frequent ones mean rough ground
         withhold_sample(gate, innovation, INITIAL_PLAUSIBLE_SLOPE * travel)
-        return 0
+        return False
     if (
         estimate.samples == 1
         and unconfirmed != 0.0
         and abs(innovation - unconfirmed) < AGREEMENT_SHARE * abs(innovation)
     ):
         restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt)
-        return 1
+        return True
     if abs(innovation) > width:
-        if hold_pending(params, adaptive, innovation, travel, width, gap) == 0:
+        if not hold_pending(params, adaptive, innovation, travel, width, gap):
             withhold_sample(gate, innovation, INITIAL_PLAUSIBLE_SLOPE * travel)
-            return 0
+            return False
         if gate.pending > estimate.samples:
             restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
-            return 1
+            return True
         confirm_step(params, adaptive)
         innovation = h_m - estimate.height_m
     else:
         accept_sample(params, gate)
-    if adapt != 0:
+    if adapt:
         update_scale(gate, innovation, width)
         # a shadow axis is where the tool is or was: only heights measured there give its error
-        if comparable != 0 and over_ns > estimate.settle_ns and adaptive.sample.lead_m < MIN_LEAD_M:
+        if comparable and over_ns > estimate.settle_ns and adaptive.sample.lead_m < MIN_LEAD_M:
             update_index(params, adaptive, travel, dt, h_m + standoff_m)
         update_noise(adaptive, h_m)
     r = max(noise.sigma_m, MIN_NOISE_M) ** 2
@@ -268,4 +268,4 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         estimate.confirmed_ns = t_ns
     store_ground(adaptive, estimate.arc_length_m, h_m)
     update_regression(adaptive, h_m, travel, adapt)
-    return 1
+    return True

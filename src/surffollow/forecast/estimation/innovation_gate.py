@@ -28,7 +28,7 @@ def update_scale(gate, innovation_m, gate_m):
 
 @jit
 def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
-    """Hold an outlier as pending; 1 when it confirms a step.
+    """Hold an outlier as pending; whether it confirms a step.
 
     `pending_arc_length_m` and `pending_height_m` are sums over the samples that agree.
 
@@ -72,17 +72,17 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
         gate.rejected, int(BURST_TAUS * adaptive.plant.tau_s / max(adaptive.prediction.interval_s, 1e-6))
     )
     if gate.pending < need + more:
-        return 0
+        return False
     if innovation_m > 0.0 or gate.pending_travel_m >= params.step_travel_m * gate.slot_likelihood:
-        return 1
+        return True
     # more pending samples than accepted ones: the start was bad; at rest there is no travel
     outvoted = gate.pending > estimate.samples
-    return 1 if outvoted or estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS else 0
+    return outvoted or estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS
 
 
 @jit
 def needs_second_sample(adaptive, innovation_m, gate_m):
-    """1 for a single innovation between the inner gate and the gate.
+    """Whether a single innovation lies between the inner gate and the gate.
 
     It is the edge of a slot or a small glitch. A second one on the same side is accepted.
     """
@@ -91,12 +91,12 @@ def needs_second_sample(adaptive, innovation_m, gate_m):
     gate.unconfirmed_m = 0.0
     inner = INNER_GATE if adaptive.estimate.samples > 1 else INITIAL_INNER_GATE
     if not inner * gate_m < abs(innovation_m) <= gate_m or before * innovation_m > 0.0:
-        return 0
+        return False
     gate.unconfirmed_m = innovation_m
     if gate.pending > 0:  # it agrees with no outlier before
         gate.rejected += 1
         gate.pending = 0
-    return 1
+    return True
 
 
 @jit

@@ -31,7 +31,7 @@ def is_synchronised(controller, ranges_given, now_ns):
 
 @jit
 def period_is_due(controller, ranges_given, now_ns):
-    """1 when the demand of the next controller period has to be prepared.
+    """Whether the demand of the next controller period has to be prepared.
 
     Parameters
     ----------
@@ -41,14 +41,10 @@ def period_is_due(controller, ranges_given, now_ns):
     """
     elapsed = now_ns - controller.period_ns
     if not is_synchronised(controller, ranges_given, now_ns):
-        return 1 if elapsed >= DEFAULT_PERIOD_NS else 0
+        return elapsed >= DEFAULT_PERIOD_NS
     left = latch_time(controller, ranges_given, now_ns) - now_ns
-    return (
-        1
-        if elapsed >= MAX_PERIOD_NS
-        or (controller.latch_pending == 0 and left <= PREPARATION_NS and elapsed >= MIN_PERIOD_NS)
-        else 0
-    )
+    prepares = controller.latch_pending == 0 and left <= PREPARATION_NS and elapsed >= MIN_PERIOD_NS
+    return prepares or elapsed >= MAX_PERIOD_NS
 
 
 @jit

@@ -133,7 +133,7 @@ def update_plant(params, adaptive, sense, adapt):
     Parameters
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
-    adapt : int  0: τ stays as it is
+    adapt : bool  False: τ stays as it is
     """
     plant, setpoint = adaptive.plant, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
@@ -166,7 +166,7 @@ def update_plant(params, adaptive, sense, adapt):
     plant.axis_mps += VELOCITY_GAIN_HZ * e
     limit = params.plant_v_max_mps
     plant.axis_mps = min(max(plant.axis_mps, -limit), limit)
-    if adapt == 0 or not least < MAX_MODEL_ERROR_M:
+    if not adapt or not least < MAX_MODEL_ERROR_M:
         return
     for k in range(N_PLANTS):
         e = plant.position_m[k] - z

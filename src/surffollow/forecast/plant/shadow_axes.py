@@ -45,7 +45,7 @@ def reset_shadows(shadow, t_ns, z_m):
 
 @jit
 def propagate_shadows(params, adaptive, t_ns):
-    """Propagate every shadow axis up to a time with the setpoints of its model; 0 when that is not possible.
+    """Propagate every shadow axis up to a time with the setpoints of its model; whether that is possible.
 
     Parameters
     ----------
@@ -56,16 +56,16 @@ def propagate_shadows(params, adaptive, t_ns):
     from_ns, k = shadow.t_ns, oldest_period(controller)
     span = t_ns - from_ns
     if span <= 0:
-        return 0
+        return False
     shadow.t_ns = t_ns
     if controller.periods == 0:
-        return 1
+        return True
     if span > MAX_AXIS_GAP_NS:
         slot = period_at(controller, k, t_ns) & (N_PERIODS - 1)
         for i in range(N_MODELS):
             shadow.position_m[i] = shadow.setpoint_m[slot * MAX_MODELS + i]
             shadow.velocity_mps[i] = 0.0
-        return 1
+        return True
     steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
     dt = span * 1e-9 / steps
     tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
@@ -77,7 +77,7 @@ def propagate_shadows(params, adaptive, t_ns):
             shadow.position_m[i], shadow.velocity_mps[i] = step_axis(
                 tau, v_max, a_max, shadow.position_m[i], shadow.velocity_mps[i], target, dt
             )
-    return 1
+    return True
 
 
 @jit

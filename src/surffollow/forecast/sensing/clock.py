@@ -19,10 +19,10 @@ def clock_jump_ns(scaled):
 
 @jit
 def update_clock(clock, t_ns, pose_t_ns):
-    """Advance the time to the latest timestamp; 1 when the clock jumped back and is followed."""
+    """Advance the time to the latest timestamp; whether the clock jumped back, which is followed."""
     t = max(t_ns, pose_t_ns)
     jumped = t < clock.now_ns - CLOCK_JUMP_NS
     if jumped:
         clock.now_ns = t
     clock.now_ns = max(clock.now_ns, t)
-    return 1 if jumped else 0
+    return jumped

@@ -84,13 +84,9 @@ def update_usual_repeats(adaptive, n):
 
 @jit
 def repeats_range(health, range_m):
-    """1 when a range differs from the first one of the run by less than the sensor's noise allows."""
-    return (
-        1
-        if health.repeat_count > 0
-        and abs(range_m - health.repeat_range_m) <= REPEAT_BAND * health.noise_floor_m
-        else 0
-    )
+    """Whether a range differs from the first one of the run by less than the sensor's noise allows."""
+    near = abs(range_m - health.repeat_range_m) <= REPEAT_BAND * health.noise_floor_m
+    return health.repeat_count > 0 and near
 
 
 @jit
@@ -117,13 +113,13 @@ def update_stuck(adaptive, repeated, range_m, tool_z_m):
     Parameters
     ----------
     adaptive : record of `AdaptiveState` (`health` updated)
-    repeated : int      1: the sample is like the first of the run
+    repeated : bool     the sample is like the first of the run
     range_m : float64   range of the sample [m]
     tool_z_m : float64  height of the tool at the sample [m]
     """
     health = adaptive.health
-    if repeated == 0 or health.repeat_count == 0:
-        if health.repeat_count > 0 and is_stuck_permanently(adaptive) == 0:
+    if not repeated or health.repeat_count == 0:
+        if health.repeat_count > 0 and not is_stuck_permanently(adaptive):
             update_usual_repeats(adaptive, health.repeat_count & (STUCK_COUNT - 1))
         health.repeat_count = 1
         health.repeat_z_m, health.repeat_range_m = tool_z_m, range_m
@@ -140,14 +136,14 @@ def update_stuck(adaptive, repeated, range_m, tool_z_m):
 
 @jit
 def is_stuck(health):
-    """1 while there is a stuck-at fault."""
-    return 1 if health.repeat_count >= STUCK_COUNT else 0
+    """Whether there is a stuck-at fault."""
+    return health.repeat_count >= STUCK_COUNT
 
 
 @jit
 def is_stuck_permanently(adaptive):
-    """1 when a stuck-at fault has lasted for too many samples to be quantisation."""
-    return 1 if adaptive.health.repeat_count > STUCK_COUNT + STUCK_RESET_RATIO * repeat_limit(adaptive) else 0
+    """Whether a stuck-at fault has lasted for too many samples to be quantisation."""
+    return adaptive.health.repeat_count > STUCK_COUNT + STUCK_RESET_RATIO * repeat_limit(adaptive)
 
 
 @jit
@@ -166,16 +162,12 @@ def is_dropout(adaptive):
 
 @jit
 def is_lost(params, adaptive):
-    """1 when no sample entered a confirmed estimate within the loss time-out.
+    """Whether no sample entered a confirmed estimate within the loss time-out.
 
     An estimate of a single sample is not confirmed.
     """
     estimate = adaptive.estimate
-    return (
-        1
-        if estimate.samples == 0 or adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
-        else 0
-    )
+    return estimate.samples == 0 or adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
 
 
 @jit
@@ -214,7 +206,7 @@ def update_health(params, adaptive, sense, stuck):
     Parameters
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState` (`health` updated), `SenseState`
-    stuck : int  1: the range does not respond to the tool's motion
+    stuck : bool  the range does not respond to the tool's motion
     """
     clock, hold, health, estimate = adaptive.clock, adaptive.hold, adaptive.health, adaptive.estimate
     observe_channels(params, health, sense, clock.now_ns)
@@ -222,7 +214,7 @@ def update_health(params, adaptive, sense, stuck):
     candidate, reason = OK, REASON_NONE
     if health.faults & FAULT_NOT_FINITE and estimate.samples < STUCK_SAMPLES:
         candidate, reason = FAULT, REASON_NOT_FINITE
-    elif stuck != 0:
+    elif stuck:
         candidate, reason = STUCK, REASON_STUCK
     elif estimate.samples == 0 or is_dropout(adaptive):
         edge_m = min(hold.range_m - params.range_min_m, params.range_max_m - hold.range_m)
@@ -231,15 +223,15 @@ def update_health(params, adaptive, sense, stuck):
             candidate, reason = OUT_OF_RANGE, REASON_OUTSIDE
         else:
             candidate, reason = DROPOUT, REASON_NO_READING
-    elif is_lost(params, adaptive) != 0:
+    elif is_lost(params, adaptive):
         candidate, reason = DROPOUT, REASON_LOST
     elif adaptive.hold.shift_ns > 0:
         candidate, reason = SUSPECT, REASON_TIMESTAMPS
-    elif has_jumped(adaptive.kinematics, clock.now_ns) != 0:
+    elif has_jumped(adaptive.kinematics, clock.now_ns):
         candidate, reason = SUSPECT, REASON_POSE_JUMP
     elif adaptive.beams.inconsistent != 0:
         candidate, reason = SUSPECT, REASON_SENSORS
-    elif has_failed(adaptive.rotation) != 0:
+    elif has_failed(adaptive.rotation):
         candidate, reason = SUSPECT, REASON_ROTATION
     elif silent != 0:
         candidate, reason = SUSPECT, REASON_SILENT
@@ -256,7 +248,7 @@ def update_health(params, adaptive, sense, stuck):
         health.candidate = candidate
         health.since_ns = clock.now_ns
     wait = ENTER_NS if candidate > health.state else LEAVE_NS
-    if health.state < DROPOUT and is_lost(params, adaptive) != 0:
+    if health.state < DROPOUT and is_lost(params, adaptive):
         wait = 0  # there is no demand: the reason is published at once
     if clock.now_ns - health.since_ns >= wait:
         health.state, health.reason = candidate, reason
@@ -264,9 +256,9 @@ def update_health(params, adaptive, sense, stuck):
 
 @jit
 def count_close(health, close):
-    """Count samples in a row near the fold-back; 1 when they are enough to confirm it."""
+    """Count samples in a row near the fold-back; whether they are enough to confirm it."""
     health.close_count = health.close_count + 1 if close else 0
-    return 1 if health.close_count >= CLOSE_CONFIRMATION_SAMPLES else 0
+    return health.close_count >= CLOSE_CONFIRMATION_SAMPLES
 
 
 @jit

@@ -34,7 +34,7 @@ def oldest_pose_within(sense, window_ns, first_pose):
 
 @jit
 def note_jump(params, kinematics, sense):
-    """Note a jump of the reported position, no report of which continues; 1 when there is one.
+    """Note a jump of the reported position, no report of which continues; whether there is one.
 
     A lateral jump disagrees with the velocity and with the way between the two reports before: a change of
     speed agrees with the latter from its second report on. A vertical jump disagrees with the velocity by
@@ -44,7 +44,7 @@ def note_jump(params, kinematics, sense):
     last, previous = (n - 1) & (POSES - 1), (n - 2) & (POSES - 1)
     span_ns = sense.pose_t_ns[last] - sense.pose_t_ns[previous]
     if not 0 < span_ns <= SPEED_WINDOW_NS:
-        return 0
+        return False
     dt = span_ns * 1e-9
     way_x = sense.pose[7 * last] - sense.pose[7 * previous]
     way_y = sense.pose[7 * last + 1] - sense.pose[7 * previous + 1]
@@ -60,25 +60,25 @@ def note_jump(params, kinematics, sense):
     dz = sense.pose[7 * last + 2] - sense.pose[7 * previous + 2] - kinematics.climb_mps * dt
     climbed = abs(dz) > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * dt)
     if not climbed and square <= MAX_JUMP_M * MAX_JUMP_M:
-        return 0
+        return False
     kinematics.jump_pose, kinematics.jump_ns = n - 1, sense.pose_t_ns[last]
     if climbed:
         kinematics.climb_jump_pose = kinematics.jump_pose
-    return 1
+    return True
 
 
 @jit
 def has_jumped(kinematics, now_ns):
-    """1 for a second after a jump of the reported position."""
-    return 1 if kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < MAX_POSE_GAP_NS else 0
+    """Whether the reported position has jumped within the last second."""
+    return kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < MAX_POSE_GAP_NS
 
 
 @jit
 def update_kinematics(params, kinematics, sense):
-    """Lateral and vertical velocity of the tool from its reports, 0 with one; returns 1 after a new jump."""
+    """Lateral and vertical velocity of the tool from its reports, 0 with one; returns whether it jumped."""
     if kinematics.pose_count == sense.pose_count:
-        return 0
-    jumped = note_jump(params, kinematics, sense) if kinematics.pose_count > 0 else 0
+        return False
+    jumped = kinematics.pose_count > 0 and note_jump(params, kinematics, sense)
     kinematics.pose_count = sense.pose_count
     last, jump = (sense.pose_count - 1) & (POSES - 1), kinematics.jump_pose
     first = oldest_pose_within(sense, SPEED_WINDOW_NS, jump)

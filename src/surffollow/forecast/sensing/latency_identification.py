@@ -53,12 +53,12 @@ def discard_correction(latency):
 
 @jit
 def check_configured_latency(params, latency):
-    """Discard the correction when another latency is configured; 1 then: timestamps go back or on."""
+    """Discard the correction when another latency is configured; whether it is: timestamps go back or on."""
     if latency.configured_ns == params.sensor_latency_ns:
-        return 0
+        return False
     latency.configured_ns = params.sensor_latency_ns
     discard_correction(latency)
-    return 1
+    return True
 
 
 @jit
@@ -66,7 +66,7 @@ def update_correction(adaptive, adapt):
     """Let the regression of a rest enter the correction, and begin a new rest."""
     latency = adaptive.latency
     n = latency.count
-    if adapt != 0 and n >= MIN_SAMPLES and latency.climb_climb > n * MIN_CLIMB_RMS_MPS * MIN_CLIMB_RMS_MPS:
+    if adapt and n >= MIN_SAMPLES and latency.climb_climb > n * MIN_CLIMB_RMS_MPS * MIN_CLIMB_RMS_MPS:
         delta = latency.climb_height / latency.climb_climb
         residual = math.sqrt(max(latency.height_height - delta * latency.climb_height, 0.0) / n)
         noise = max(adaptive.noise.sigma_m, 1e-4)
@@ -90,12 +90,12 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     adaptive, sense : records of `AdaptiveState` (updated), `SenseState`
     t_ns : int64         timestamp minus the correction
     h_m : float64        height of the footprint with the pose at that time [m]
-    at_rest : int        1: the tool rests laterally
-    adapt : int          0: the correction stays
+    at_rest : bool       the tool rests laterally
+    adapt : bool         False: the correction stays
     pose : (7,) float64  scratch
     """
     latency = adaptive.latency
-    if at_rest == 0:
+    if not at_rest:
         if latency.count > 0:
             update_correction(adaptive, adapt)
         return

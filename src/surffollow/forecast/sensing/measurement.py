@@ -57,13 +57,13 @@ def standoff_height(params, plane, sense, orients, pose):
     Parameters
     ----------
     params, plane, sense : records of `Params`, `Plane`, `SenseState`
-    orients : int        1: three or more sensors, and the tool is rotated to the surface normal
+    orients : bool       three or more sensors, and the tool is rotated to the surface normal
     pose : (7,) float64  scratch; holds the newest report afterwards
     """
     newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
     for i in range(7):
         pose[i] = sense.pose[newest + i]
-    if orients == 0:
+    if not orients:
         _, _, tip_z = axis_ground_point(params, pose)
         return -tip_z
     tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
@@ -78,7 +78,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     Parameters
     ----------
     params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
-    orients : int            1: three or more sensors and the tool is rotated to the surface normal
+    orients : bool           three or more sensors and the tool is rotated to the surface normal
     pose : (7,) float64      scratch: the pose at the sample's time
     """
     kinematics, hold, latency, sample, health = (
@@ -90,7 +90,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     )
     estimate, beams = adaptive.estimate, adaptive.beams
     channel = 0
-    if orients != 0:
+    if orients:
         if inputs.n_ranges > 0 and sense.fresh[beams.reference] != 0:
             observe_timestamp(adaptive, sense.range_t_ns[beams.reference])
         channel = observe_beams(params, adaptive, sense, pose)
@@ -99,38 +99,38 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if channel < 0:
         return
     is_new, range_m, t = new_sample(params, adaptive, sense, inputs.n_ranges, channel, orients)
-    if is_new == 0:
+    if not is_new:
         return
     update_prediction(adaptive.prediction, t, range_m)
     repeated = repeats_range(health, range_m)
-    if orients != 0 and any_beam_changed(beams, params.n_channels, hold.t_ns) != 0:
-        repeated = 0
+    if orients and any_beam_changed(beams, params.n_channels, hold.t_ns):
+        repeated = False
     record_sample(hold, t, range_m)
-    if orients == 0:  # beams have timestamps of their own, without correction
+    if not orients:  # beams have timestamps of their own, without correction
         t -= int(latency.correction_s * 1e9)
     update_delay(latency, (adaptive.clock.now_ns - t) * 1e-9)
     predict_pose(kinematics, sense, t, pose)
-    stuck_for_long, unresponsive = is_stuck_permanently(adaptive), is_unresponsive(adaptive.response)
+    was_stuck = is_stuck_permanently(adaptive) or is_unresponsive(adaptive.response)
     update_stuck(adaptive, repeated, range_m, pose[2])
     gap_s = dropout_tolerance_s(adaptive.prediction) + MAX_GAP_NS * 1e-9
-    mean_m = range_m if orients == 0 else mean_range(beams, params.n_channels, t, range_m)
+    mean_m = mean_range(beams, params.n_channels, t, range_m) if orients else range_m
     observe_response(params, adaptive, t, mean_m, pose[2], gap_s)
-    now_stuck = is_stuck(health) + is_unresponsive(adaptive.response)
-    if stuck_for_long + unresponsive > 0 and now_stuck == 0:
+    now_stuck = is_stuck(health) or is_unresponsive(adaptive.response)
+    if was_stuck and not now_stuck:
         discard_estimate(estimate)
-    if t <= estimate.sample_ns or now_stuck > 0:
+    if t <= estimate.sample_ns or now_stuck:
         return
-    adapt = 0 if params.adapt == 0 or params.run == RUN_FREEZE else 1
+    adapt = params.adapt != 0 and params.run != RUN_FREEZE
     x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
-    at_rest = 1 if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS else 0
-    if orients == 0 and (at_rest != 0 or latency.count > 0):
+    at_rest = kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS
+    if not orients and (at_rest or latency.count > 0):
         observe_height(adaptive, sense, t, z, at_rest, adapt, pose)
         predict_pose(kinematics, sense, t, pose)
     close = count_close(health, range_m < params.too_close_m)
-    if close != 0 or fold.close != 0:
+    if close or fold.close != 0:
         watch_fold_back(fold, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
     tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
-    if orients != 0:
+    if orients:
         accepted, z = plane_height(params, adaptive, t, tool_x, tool_y)
         if accepted == 0:
             return
@@ -140,7 +140,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
             if beams.accepted[c] == 0:
                 output.fresh &= ~(1 << c)
     sample.tip_x_m = sample.tip_y_m = 0.0
-    if orients == 0:
+    if not orients:
         sample.tip_x_m, sample.tip_y_m, _ = axis_ground_point(params, pose)
     if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
         lead = distance_along(kinematics, x - tool_x - sample.tip_x_m, y - tool_y - sample.tip_y_m)
@@ -152,29 +152,28 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
     sample.spacing_m += USUAL_VALUE_RATE * (travel - sample.spacing_m)
     sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + travel
-    if compare_lookahead(adaptive, sample.arc_length_m, z) != 0:
+    if compare_lookahead(adaptive, sample.arc_length_m, z):
         withdraw_preview(adaptive.preview)
-    entered = update_estimate(params, adaptive, t, travel, z, standoff, adapt)
-    if entered == 0:
+    if not update_estimate(params, adaptive, t, travel, z, standoff, adapt):
         return
-    if adapt != 0 or adaptive.adaptation.permitted_variance_m == 0.0:
+    if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
         update_deadband(params, adaptive)
     if abs(sample.lead_m) < MIN_LEAD_M and params.run == RUN_NORMAL:
         monitor_error(adaptive, tool_z - standoff - z)
     if inputs.n_preview > 0 and kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
         ahead = distance_along(kinematics, x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m)
         compare_map(adaptive, inputs, ahead, z)
-    if orients == 0:
+    if not orients:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z
 
 
 @jit
 def has_turned_back(adaptive):
-    """1 when the tool goes back, against the heading of the newest sample."""
+    """Whether the tool goes back, against the heading of the newest sample."""
     kinematics, sample = adaptive.kinematics, adaptive.sample
     along = kinematics.velocity_x_mps * sample.heading_x + kinematics.velocity_y_mps * sample.heading_y
-    return 1 if along < -MIN_DIRECTION_SPEED_MPS else 0
+    return along < -MIN_DIRECTION_SPEED_MPS
 
 
 @jit
@@ -189,7 +188,7 @@ def follow_heading(adaptive, x_m, y_m):
     kinematics, sample = adaptive.kinematics, adaptive.sample
     if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return
-    if has_turned_back(adaptive) != 0:
+    if has_turned_back(adaptive):
         if (x_m - sample.x_m) * sample.heading_x + (y_m - sample.y_m) * sample.heading_y >= 0.0:
             return  # the footprint is still ahead of the one before
         reverse_estimate(adaptive)

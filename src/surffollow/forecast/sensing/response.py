@@ -156,8 +156,8 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
 
 @jit
 def is_unresponsive(response):
-    """1 after a test that the range did not follow, until it changes."""
-    return 1 if response.phase == RESPONSE_FAILED else 0
+    """Whether the range did not follow a test, and has not changed since."""
+    return response.phase == RESPONSE_FAILED
 
 
 @jit

@@ -85,7 +85,7 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     pose_ns : int64       timestamp of the newest pose
     ahead_m : float64     distance beyond the newest footprint [m]; a sensor that leads counts as 0
     standoff_m : float64  desired height of the tool above the ground [m]
-    due : int             1: a controller period begins
+    due : bool            a controller period begins
 
     Returns
     -------
@@ -95,7 +95,7 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     estimate, blend = adaptive.estimate, adaptive.blend
     dropout = dropout_s(adaptive)
     turned = has_turned_back(adaptive)
-    ahead_m = ahead_m if turned != 0 else max(ahead_m - uncompared_m(adaptive), 0.0)
+    ahead_m = ahead_m if turned else max(ahead_m - uncompared_m(adaptive), 0.0)
     lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(kinematics.speed_mps * dropout, max(ahead_m, 0.0))
@@ -103,7 +103,7 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
         ahead_m += params.dropout_travel_m * (1.0 - decay) - dropout_m
         lead_length_m *= decay
     step_m = kinematics.speed_mps * RATE_STEP_S
-    if turned != 0:  # lengths along the way of the newest sample
+    if turned:  # lengths along the way of the newest sample
         ahead_m, lead_length_m, step_m = -ahead_m, -lead_length_m, -step_m
     max_slope = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
     later = compute_setpoints(adaptive, ahead_m + step_m, lead_length_m, max_slope, standoff_m)

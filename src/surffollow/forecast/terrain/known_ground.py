@@ -17,7 +17,7 @@ MAX_UNCONFIRMED_DESCENT_M = 3e-3  # of a plan below the setpoint of the sensor u
 
 @jit
 def compare_known_ground(adaptive, height_behind_m, height_here_m, height_ahead_m, h_m):
-    """Compare channel 0's height with known ground; 1 when several samples in a row contradict it.
+    """Compare channel 0's height with known ground; whether several samples in a row contradict it.
 
     Parameters
     ----------
@@ -38,11 +38,11 @@ def compare_known_ground(adaptive, height_behind_m, height_here_m, height_ahead_
     known.contradictions = known.contradictions + 1 if h_m > highest + gate else 0
     if known.contradictions >= CONTRADICTION_SAMPLES:
         known.descent_m = 0.0
-        return 1
+        return True
     drop = known.peak_m - h_m
     if lowest - gate < h_m < highest + gate and drop > MAX_UNCONFIRMED_DESCENT_M:
         known.descent_m += fading * max(drop - known.descent_m, 0.0)
-    return 0
+    return False
 
 
 @jit

@@ -25,7 +25,7 @@ def observe_lookahead(params, adaptive, sense, moving, pose):
     Parameters
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
-    moving : int             1: the direction of travel is known; otherwise no channel leads
+    moving : bool            the direction of travel is known; otherwise no channel leads
     pose : (7,) float64      scratch
     """
     clock, kinematics, sample, estimate, lookahead = (
@@ -35,9 +35,9 @@ def observe_lookahead(params, adaptive, sense, moving, pose):
         adaptive.estimate,
         adaptive.lookahead,
     )
-    if moving == 0 or clock.now_ns - lookahead.seen_ns > TIMEOUT_NS:
+    if not moving or clock.now_ns - lookahead.seen_ns > TIMEOUT_NS:
         lookahead.lead_m = 0.0
-    if moving == 0 or estimate.samples == 0:
+    if not moving or estimate.samples == 0:
         return
     for c in range(1, params.n_channels):
         t = sense.range_t_ns[c] + adaptive.hold.shift_ns
@@ -61,22 +61,22 @@ def observe_lookahead(params, adaptive, sense, moving, pose):
 
 @jit
 def compare_lookahead(adaptive, s_m, h_m):
-    """Compare buffered ground with channel 0's height there and update the bias; 1 when it is too low.
+    """Compare buffered ground with channel 0's height there and update the bias; whether it is too low.
 
     Buffered ground that lies below channel 0's pulls the tool toward the surface. Several such samples in a
     row discard all that was measured ahead: it is used again beyond the newest of it.
     """
     lookahead = adaptive.lookahead
     if lookahead.lead_m == 0.0:
-        return 0
+        return False
     buffered = buffered_height(adaptive, s_m)
     if not math.isfinite(buffered):
-        return 0
+        return False
     height_behind_m = buffered_height(adaptive, s_m - REGISTRATION_M)
     height_ahead_m = buffered_height(adaptive, s_m + REGISTRATION_M)
     wrong = compare_known_ground(adaptive, height_behind_m, buffered, height_ahead_m, h_m - lookahead.bias_m)
     e = min(max(h_m - buffered, -MAX_BIAS_M), MAX_BIAS_M)
     lookahead.bias_m += BIAS_RATE * (e - lookahead.bias_m)
-    if wrong != 0:
+    if wrong:
         lookahead.trusted_from_m = s_m + lookahead.lead_m
     return wrong

@@ -80,7 +80,7 @@ def collect_preview(adaptive, inputs, leading, ahead_m, since_pose_m, bias_m):
 
     Parameters
     ----------
-    leading : int            1: from the terrain buffer, 0: from the map in the inputs
+    leading : bool           from the terrain buffer; False: from the map in the inputs
     ahead_m : float64        point under the tool at the latch time, ahead of the newest footprint [m]
     since_pose_m : float64   distance travelled since the newest report, at that time [m]
     bias_m : float64         added to the buffered heights [m]
@@ -89,7 +89,7 @@ def collect_preview(adaptive, inputs, leading, ahead_m, since_pose_m, bias_m):
     known = 0
     for k in range(HORIZON):
         travel = adaptive.kinematics.speed_mps * PERIOD_S * k
-        if leading != 0:
+        if leading:
             h = buffered_height(adaptive, adaptive.estimate.arc_length_m + ahead_m + travel) + bias_m
         else:
             h = map_height(inputs, since_pose_m + travel) + preview.map_bias_m
@@ -121,7 +121,7 @@ def compare_map(adaptive, inputs, ahead_m, h_m):
         map_height(inputs, ahead_m - REGISTRATION_M),
         map_height(inputs, ahead_m + REGISTRATION_M),
     )
-    if compare_known_ground(adaptive, height_behind_m, map_m, height_ahead_m, h_m - preview.map_bias_m) != 0:
+    if compare_known_ground(adaptive, height_behind_m, map_m, height_ahead_m, h_m - preview.map_bias_m):
         withdraw_preview(preview)
         suspend_preview(preview, adaptive.clock.now_ns + CONTRADICTION_NS)
     e = h_m - map_m
@@ -160,7 +160,7 @@ def update_share(adaptive, known, leading, plant_m2):
     ----------
     adaptive : record of `AdaptiveState` (`preview` updated)
     known : int         known periods of ground
-    leading : int       1: the ground is known from a sensor that leads
+    leading : bool      the ground is known from a sensor that leads
     plant_m2 : float64  squared error of the best axis model [m²]
     """
     # with a sensor that leads, an uncertain plan is better than none
@@ -170,12 +170,10 @@ def update_share(adaptive, known, leading, plant_m2):
         and plant_m2 < MAX_MODEL_ERROR_M2
         and preview.map_deviation_m < DISAGREEMENT_M
     )
-    usable = known >= MIN_KNOWN_PERIODS and (
-        trusted or (leading != 0 and plant_m2 < LEADING_MAX_MODEL_ERROR_M2)
-    )
+    usable = known >= MIN_KNOWN_PERIODS and (trusted or (leading and plant_m2 < LEADING_MAX_MODEL_ERROR_M2))
     preview.share += SHARE_RATE if usable else -SHARE_RATE
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
-    preview.sensed_periods = known if leading != 0 else 0
+    preview.sensed_periods = known if leading else 0
 
 
 @jit

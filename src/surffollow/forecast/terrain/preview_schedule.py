@@ -63,7 +63,7 @@ def preview_uses(params, adaptive, scaled, inputs, now_ns):
         or adaptive.sample.lead_m > MIN_LEAD_M
     ):
         return 0
-    due = FOR_PERIOD if period_is_due(adaptive.controller, inputs.n_ranges, now_ns) != 0 else 0
+    due = FOR_PERIOD if period_is_due(adaptive.controller, inputs.n_ranges, now_ns) else 0
     k = newest_conversion(inputs)
     if k >= 0:
         range_m = params.zero_m[0] + params.scale_m[0] * conversion_counts(inputs.conversion[k])
@@ -98,7 +98,7 @@ def preview_window(params, state, inputs):
         pose_t_ns, x, y = sense.pose_t_ns[newest], sense.pose[7 * newest], sense.pose[7 * newest + 1]
     else:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    p = params[0] if is_unscaled(d) != 0 else d.params
+    p = params[0] if is_unscaled(d) else d.params
     t_ns, pose_t_ns = dimensionless_time(d, i.t_ns), dimensionless_time(d, pose_t_ns)
     now_ns = max(adaptive.clock.now_ns, t_ns, pose_t_ns)
     due = preview_uses(p, adaptive, d, i, now_ns)

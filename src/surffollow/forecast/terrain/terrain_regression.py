@@ -39,7 +39,7 @@ def update_regression(adaptive, h_m, travel_m, adapt):
     adaptive : record of `AdaptiveState` (updated)
     h_m : float64            height at the present arc length [m]
     travel_m : float64       distance travelled since the sample before [m]
-    adapt : int              0: only the recent mean is updated
+    adapt : bool             False: only the recent mean is updated
     """
     estimate, regression = adaptive.estimate, adaptive.regression
     if not abs(h_m - regression.mean_height_m) < MAX_DIFFERENCE_M:
@@ -48,7 +48,7 @@ def update_regression(adaptive, h_m, travel_m, adapt):
     regression.mean_height_m += min(travel_m / max(regression.mean_length_m, MIN_TRAVEL_M), 1.0) * (
         h_m - regression.mean_height_m
     )
-    rate = 1.0 - math.exp(-travel_m / REGRESSION_LENGTH_M) if adapt != 0 else 0.0
+    rate = 1.0 - math.exp(-travel_m / REGRESSION_LENGTH_M) if adapt else 0.0
     for j in range(N_DISTANCES):
         height_behind_m = buffered_height(adaptive, estimate.arc_length_m - DISTANCES_M[j])
         rise = height_behind_m - buffered_height(
