@@ -54,7 +54,7 @@ class NaiveResponse:
         self.last_ns = t_ns
         self.readings.append(range_m)
         self._observe_noise()
-        self.number = min(max(r.MEAN_TAUS * self.tau_s / self.interval_s, r.MIN_MEAN), r.MAX_MEAN)
+        self.number = min(max(self.tau_s / self.interval_s, r.MIN_MEAN), r.MAX_MEAN)
         most_m = r.OUTLIER_SIGMAS * self.sigma_m
         newest = [reading - self.mean_m for reading in self.readings[-3:]]
         one_side = all(x > most_m for x in newest) or all(x < -most_m for x in newest)
@@ -89,23 +89,23 @@ class NaiveResponse:
         wrong = (
             error_m > self.band_m
             and error_m > r.LAG_TAUS * self.tau_s * rate_mps
-            and error_m * descent_m > r.ERROR_DESCENT * self.band_m * self.standoff_m
+            and error_m * descent_m > r.ERROR_MOTION * self.band_m * self.standoff_m
         )
         quiet = not self.noisy
-        enough = descent_m > r.DESCENT_BANDS * self.band_m
+        enough = descent_m > r.MOTION_BANDS * self.band_m
         far = descent_m > r.FAR_DESCENT * self.standoff_m
         long = self.in_run > r.MIN_LONG_MEANS * self.number
         doubtful = (
             self.number >= r.MAX_MEAN
             and enough
             and error_m > r.LAG_TAUS * self.tau_s * rate_mps
-            and error_m * descent_m > r.SHIFT_ERROR_DESCENT * self.band_m * self.standoff_m
+            and error_m * descent_m > r.SHIFT_ERROR_MOTION * self.band_m * self.standoff_m
         )
         if long and self.shift_ns is None and (doubtful or descent_m > r.SHIFT_DESCENT * self.standoff_m):
             self.shift_ns, self.shift_m = t_ns, r.SHIFT_BANDS * self.band_m
-        allowed_s = r.SHIFT_TAUS * self.tau_s + r.SHIFT_MEANS * self.number * self.interval_s
+        allowed_s = r.STOP_TAUS * self.tau_s + r.MIN_MEANS * self.number * self.interval_s
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > allowed_s
-        begun = self.in_run > r.MIN_RUN_MEANS * self.number
+        begun = self.in_run > r.MIN_MEANS * self.number
         if (long and far) or unanswered or (begun and enough and (wrong or quiet)):
             self.phase, self.begin_ns, self.begin_z_m, self.rate_mps = HOLD, t_ns, z_m, rate_mps
             self.began_quiet = quiet
@@ -113,9 +113,9 @@ class NaiveResponse:
     def _hold(self, t_ns: int, z_m: float) -> None:
         since_s = (t_ns - self.begin_ns) * 1e-9
         not_descended_m = self.rate_mps * (since_s - r.STOP_TAUS * self.tau_s)
-        if not_descended_m > r.HOLD_BANDS * self.band_m or since_s > r.MAX_PHASE_TAUS * self.tau_s:
+        if not_descended_m > r.MOTION_BANDS * self.band_m or since_s > r.MAX_PHASE_TAUS * self.tau_s:
             self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
-            self.lift_m, self.lifted = r.LIFT_BANDS * self.band_m, 0
+            self.lift_m, self.lifted = r.MOTION_BANDS * self.band_m, 0
 
     def _lift(self, t_ns: int, z_m: float) -> None:
         if z_m - self.begin_z_m > 0.5 * self.lift_m:

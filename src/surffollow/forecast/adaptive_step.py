@@ -3,10 +3,7 @@
 clock → kinematics → plant → measurement (sensing, estimation, terrain) → health → setpoint → demand
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.attitude.attitude import demand_rotation, publish_normal, release_attitude
 from surffollow.forecast.estimation.adaptation import publish_adaptation
@@ -35,7 +32,12 @@ from surffollow.forecast.sensing.health import (
     latch_fault,
     update_health,
 )
-from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, has_jumped, update_kinematics
+from surffollow.forecast.sensing.kinematics import (
+    MIN_DIRECTION_SPEED_MPS,
+    distance_along,
+    has_jumped,
+    update_kinematics,
+)
 from surffollow.forecast.sensing.measurement import process_sample, standoff_height
 from surffollow.forecast.sensing.response import is_unresponsive, raised_target
 from surffollow.forecast.setpoint.preview_control import plan_setpoint
@@ -79,7 +81,7 @@ from surffollow.shm.layout_follow import (
 
 
 @jit
-def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any:
+def distance_ahead(params, adaptive, pose, pose_t_ns):
     """Distance from the newest footprint to the point under the tool when the demand acts [m].
 
     Parameters
@@ -92,16 +94,13 @@ def distance_ahead(params: Any, adaptive: Any, pose: Any, pose_t_ns: Any) -> Any
     if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0.0
     gap_x, gap_y = pose[0] + sample.tip_x_m - sample.x_m, pose[1] + sample.tip_y_m - sample.y_m
-    gap = gap_x * kinematics.velocity_x_mps + gap_y * kinematics.velocity_y_mps
     delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + mean_wait_s(params, adaptive.controller)
-    return gap / kinematics.speed_mps + kinematics.speed_mps * delay_s
+    return distance_along(kinematics, gap_x, gap_y) + kinematics.speed_mps * delay_s
 
 
 @jit
-def target_of_blend(
-    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
-) -> Any:
-    """Blended setpoint [m], and 1 when a controller period begins.
+def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
+    """Blended setpoint [m], and whether a controller period begins.
 
     The models are blended when a sample, a pose or a controller period is new. In between the blend
     continues at the rate that the models predict.
@@ -115,11 +114,11 @@ def target_of_blend(
 
     Returns
     -------
-    float64 [m], int64
+    float64 [m], bool
     """
     clock, blend = adaptive.clock, adaptive.blend
     due = period_is_due(adaptive.controller, inputs.n_ranges, clock.now_ns)
-    if due != 0 or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
+    if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
         target = blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
     else:
         target = blend.setpoint_m + blend.rate_mps * (clock.now_ns - blend.t_ns) * 1e-9
@@ -127,9 +126,7 @@ def target_of_blend(
 
 
 @jit
-def plan_period(
-    params: Any, adaptive: Any, inputs: Any, pose_t_ns: Any, ahead_m: Any, standoff_m: Any
-) -> None:
+def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     """Preview control of the controller period that begins.
 
     Parameters
@@ -141,16 +138,16 @@ def plan_period(
     """
     clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
     lookahead = adaptive.lookahead
-    leads = 1 if adaptive.sample.lead_m > MIN_LEAD_M else 0
+    leads = adaptive.sample.lead_m > MIN_LEAD_M
     trusted = adaptive.sample.arc_length_m >= lookahead.trusted_from_m
-    another_leads = 1 if lookahead.lead_m > MIN_LEAD_M and trusted else 0
+    another_leads = lookahead.lead_m > MIN_LEAD_M and trusted
     open_period(controller, inputs.n_ranges, clock.now_ns)
     latch_ns = latch_time(controller, inputs.n_ranges, clock.now_ns)
     since_pose_m = kinematics.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = mean_wait_s(params, controller)
     at_latch_m = ahead_m + kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - wait_s)
-    bias_m = lookahead.bias_m if another_leads != 0 and leads == 0 else 0.0
-    known = collect_preview(adaptive, inputs, max(leads, another_leads), at_latch_m, since_pose_m, bias_m)
+    bias_m = lookahead.bias_m if another_leads and not leads else 0.0
+    known = collect_preview(adaptive, inputs, leads or another_leads, at_latch_m, since_pose_m, bias_m)
     update_share(adaptive, known, leads, model_error(adaptive.plant))
     if known >= MIN_KNOWN_PERIODS:
         z, v = predict_axis(params, adaptive, latch_ns)
@@ -159,7 +156,7 @@ def plan_period(
 
 
 @jit
-def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
+def target_of_preview(params, adaptive, target_m, standoff_m):
     """Setpoint before the limits: the filtered blend, and the plan by its share [m].
 
     A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
@@ -184,9 +181,7 @@ def target_of_preview(params: Any, adaptive: Any, target_m: Any, standoff_m: Any
 
 
 @jit
-def compute_demand(
-    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any
-) -> Any:
+def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     """Demand of the adaptive mode into `output`; returns status bits.
 
     Parameters
@@ -208,29 +203,29 @@ def compute_demand(
     controller, setpoint = adaptive.controller, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
-    orients = 1 if params.orient != 0 and params.n_channels >= 3 else 0
-    if update_clock(clock, inputs.t_ns, pose_t_ns) != 0:
+    orients = params.orient != 0 and params.n_channels >= 3
+    if update_clock(clock, inputs.t_ns, pose_t_ns):
         reset_timestamps(adaptive)
-    if update_kinematics(params, kinematics, sense) != 0:
+    if update_kinematics(params, kinematics, sense):
         release_setpoint(setpoint)  # it is in the frame before the jump
-    update_plant(params, adaptive, sense, 0 if params.adapt == 0 or params.run != RUN_NORMAL else 1)
+    update_plant(params, adaptive, sense, params.adapt != 0 and params.run == RUN_NORMAL)
     process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
-    if orients == 0 and params.n_channels > 1:
-        moving = 1 if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS else 0
+    if not orients and params.n_channels > 1:
+        moving = kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS
         observe_lookahead(params, adaptive, sense, moving, pose)
-    stuck = min(is_stuck(health) + is_unresponsive(adaptive.response), 1)
+    stuck = is_stuck(health) or is_unresponsive(adaptive.response)
     update_health(params, adaptive, sense, stuck)
-    if has_jumped(kinematics, clock.now_ns) != 0:
+    if has_jumped(kinematics, clock.now_ns):
         withdraw_preview(adaptive.preview)
         reset_known_ground(adaptive.known)
     status = VALID
     if health.state == DROPOUT or health.state == OUT_OF_RANGE or health.state == STUCK:
         status |= NO_SENSOR
-    if stuck != 0:
+    if stuck:
         latch_fault(health, FAULT_STUCK)
         withdraw_preview(adaptive.preview)
-    if is_lost(params, adaptive) != 0:
-        if estimate.samples > 0 and stuck == 0:
+    if is_lost(params, adaptive):
+        if estimate.samples > 0 and not stuck:
             latch_fault(health, FAULT_LOST)
         release_setpoint(setpoint)
         withdraw_preview(adaptive.preview)
@@ -243,14 +238,14 @@ def compute_demand(
     ahead = distance_ahead(params, adaptive, pose, pose_t_ns)
     observe_report(controller, sense.pose_count, clock.now_ns)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff)
-    if due != 0:
+    if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff)
     target = target_of_preview(params, adaptive, target, standoff)
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     if estimate.samples < INITIALISATION_SAMPLES or few:
         target = max(target, tool_z)  # no descent over ground that is hardly known
     target = raised_target(adaptive.response, raised_by_withheld(adaptive, target, standoff))
-    if stuck != 0:  # ground that is not seen may rise as steeply as it did before
+    if stuck:  # ground that is not seen may rise as steeply as it did before
         rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
         target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
     if estimate.frame < kinematics.jump_pose and kinematics.jump_ns <= clock.now_ns:
@@ -269,7 +264,7 @@ def compute_demand(
         limited = max(limited, min(PROBE_M, params.max_demand_m))
         release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     output.demand[2] = limited
-    if fold.close == 0 and stuck == 0 and orients != 0 and adaptive.plane.count > 0:
+    if fold.close == 0 and not stuck and orients and adaptive.plane.count > 0:
         demand_rotation(params, adaptive, sense, output)
     if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
         record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))
@@ -283,7 +278,7 @@ def compute_demand(
 
 
 @jit
-def publish_estimate(params: Any, adaptive: Any, output: Any) -> None:
+def publish_estimate(params, adaptive, output):
     """Publish estimate, health and adapted parameters."""
     kinematics, health, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
     noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m

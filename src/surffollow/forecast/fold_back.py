@@ -6,10 +6,6 @@ demands away from the surface leave, until a move of the tool along z shows the
 reading to move with it (the true branch) beyond the exit distance.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit_inlined
 
 BRANCH_TEST_M = 0.002  # tool travel over which the sign of d(reading)/dz is judged
@@ -17,7 +13,7 @@ PROBE_M = 0.001  # least demand away from the surface while the branch is in dou
 
 
 @jit_inlined
-def watch_fold_back(fold: Any, range_m: Any, sensor_z_m: Any, too_close_m: Any, exit_m: Any) -> None:
+def watch_fold_back(fold, range_m, sensor_z_m, too_close_m, exit_m):
     """Latch or release TOO_CLOSE with one valid reading.
 
     Parameters
@@ -45,7 +41,7 @@ def watch_fold_back(fold: Any, range_m: Any, sensor_z_m: Any, too_close_m: Any, 
 
 
 @jit_inlined
-def limit(value: Any, bound: Any) -> Any:
+def limit(value, bound):
     """`value` cut to ±`bound`; NaN gives 0."""
     if value > bound:
         return bound

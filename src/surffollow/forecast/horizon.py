@@ -1,9 +1,6 @@
 """Forecast what the sensor will read some time ahead."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.sensing.range_prediction import predict_range
 from surffollow.shm.jit import jit
@@ -11,7 +8,7 @@ from surffollow.shm.layout_follow import MODE_ADAPTIVE
 
 
 @jit
-def forecast_range(params: Any, state: Any, horizon_s: Any) -> Any:
+def forecast_range(params, state, horizon_s):
     """Range of channel 0 some time after its last valid reading.
 
     Parameters

@@ -17,10 +17,6 @@ STOP     t_ns, bits: causes added to the latched stop before the next cycle; 0: 
 ======== ==========================================================================
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.layout_follow import (
     CHANNELS,
@@ -40,25 +36,25 @@ SNAPSHOT_WORDS = 2 + PARAMS_WORDS + STATE_WORDS
 
 
 @jit_pasted
-def entry_head(kind: Any, n_words: Any) -> Any:
+def entry_head(kind, n_words):
     """The first word of an entry without conversions, poses or ranges."""
     return kind | (n_words << 8)
 
 
 @jit_pasted
-def entry_kind(word: Any) -> Any:
+def entry_kind(word):
     """Kind of the entry that begins with this word."""
     return word & 0xFF
 
 
 @jit_pasted
-def entry_words(word: Any) -> Any:
+def entry_words(word):
     """Length of the entry that begins with this word, in words."""
     return (word >> 8) & 0xFFFFFF
 
 
 @jit
-def encode_cycle(words: Any, floats: Any, inputs: Any, output: Any) -> Any:
+def encode_cycle(words, floats, inputs, output):
     """Write a CYCLE entry; returns its length.
 
     Parameters
@@ -95,7 +91,7 @@ def encode_cycle(words: Any, floats: Any, inputs: Any, output: Any) -> Any:
 
 
 @jit
-def decode_cycle(words: Any, floats: Any, at: Any, inputs: Any) -> Any:
+def decode_cycle(words, floats, at, inputs):
     """Read the inputs of the CYCLE entry at index `at`; its length, or -1 when it cannot be one.
 
     The counts are checked against the entry's own length, so a damaged file cannot make
@@ -142,7 +138,7 @@ def decode_cycle(words: Any, floats: Any, at: Any, inputs: Any) -> Any:
 
 
 @jit
-def same_outcome(words: Any, at: Any, output_words: Any, demand_word: Any, status: Any, cycle: Any) -> Any:
+def same_outcome(words, at, output_words, demand_word, status, cycle):
     """1 when cycle number, status and all six demands of the entry at `at` have the same bits.
 
     Parameters

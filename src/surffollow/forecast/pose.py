@@ -3,10 +3,7 @@
 A pose is seven numbers, x y z [m] and a unit quaternion qx qy qz qw.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.sensing.clock import clock_jump_ns
 from surffollow.shm.jit import jit, jit_inlined
@@ -14,11 +11,11 @@ from surffollow.shm.layout_follow import POSES
 
 QUATERNION_TOLERANCE = 1e-3
 MAX_POSITION_M = 1e9  # as the service's client
-REFUSED, TAKEN, NO_POSE, TOO_FAR = range(4)
+TAKEN, NO_POSE, TOO_FAR = 1, 2, 3  # what `report_pose` finds
 
 
 @jit_inlined
-def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
+def rotate(qx, qy, qz, qw, x, y, z):
     """The vector (x, y, z) turned by the unit quaternion: v + 2 q × (q × v + w v).
 
     Parameters
@@ -41,7 +38,7 @@ def rotate(qx: Any, qy: Any, qz: Any, qw: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 @jit
-def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:
+def rotation_between(ax, ay, az, bx, by, bz):
     """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
 
     For opposite vectors the axis is undefined; the rotation is then zero.
@@ -64,7 +61,7 @@ def rotation_between(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> An
 
 
 @jit_inlined
-def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
+def push_pose(sense, t_ns, pose, at):
     """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused).
 
     Parameters
@@ -87,7 +84,7 @@ def push_pose(sense: Any, t_ns: Any, pose: Any, at: Any) -> Any:
 
 
 @jit
-def report_pose(state: Any, step_ns: Any, t_ns: Any, pose: Any) -> Any:
+def report_pose(state, step_ns, t_ns, pose):
     """Check a pose report, make its quaternion one of norm 1, and append it to the history.
 
     Parameters
@@ -98,7 +95,7 @@ def report_pose(state: Any, step_ns: Any, t_ns: Any, pose: Any) -> Any:
 
     Returns
     -------
-    int64  TAKEN; REFUSED: not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
+    int64  TAKEN; 0: refused, not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
     """
     norm2 = pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6]
     norm = math.sqrt(norm2)
@@ -118,7 +115,7 @@ def report_pose(state: Any, step_ns: Any, t_ns: Any, pose: Any) -> Any:
 
 
 @jit_inlined
-def pose_at(sense: Any, t_ns: Any, interpolate: Any, out: Any) -> None:
+def pose_at(sense, t_ns, interpolate, out):
     """The tool's pose at `t_ns` into `out`: the latest, or interpolated between its neighbours.
 
     Outside the history the nearest end is taken: nothing is extrapolated. Needs one pose at least.
@@ -160,7 +157,7 @@ def pose_at(sense: Any, t_ns: Any, interpolate: Any, out: Any) -> None:
 
 
 @jit_inlined
-def footprint(tool: Any, mounts: Any, channel: Any, range_m: Any) -> Any:
+def footprint(tool, mounts, channel, range_m):
     """World coordinates where the beam of a channel ends, and the sensor's height.
 
     Parameters

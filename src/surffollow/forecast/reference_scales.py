@@ -10,7 +10,6 @@ the demand bit for bit.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,14 +84,14 @@ _SCALED_AT, _SCALED_WORDS = FollowState.offset("scaled"), ScaledState.SIZE // 8
 
 
 @jit
-def scale_exponent(value: Any, usual: Any) -> Any:
+def scale_exponent(value, usual):
     """Binary logarithm of the greatest power of two that is not above value / usual, both > 0."""
     _, e = math.frexp(value / usual)
     return min(max(e - 1, -MAX_SHIFT), MAX_SHIFT)
 
 
 @jit
-def choose_scales(params: Any, state: Any) -> None:
+def choose_scales(params, state):
     """Set the reference scales; when they change, the default follower begins without knowledge.
 
     Parameters
@@ -118,25 +117,25 @@ def choose_scales(params: Any, state: Any) -> None:
 
 
 @jit_inlined
-def is_unscaled(d: Any) -> Any:
-    """1 when dimensionless numbers are metres and seconds."""
-    return 1 if d.length == 1.0 and d.shift == 0 else 0
+def is_unscaled(d):
+    """Whether dimensionless numbers are metres and seconds."""
+    return d.length == 1.0 and d.shift == 0
 
 
 @jit_inlined
-def dimensionless_duration(d: Any, ns: Any) -> Any:
+def dimensionless_duration(d, ns):
     """A dimensionless duration: nanoseconds over the reference time."""
     return ns >> d.shift if d.shift >= 0 else ns << -d.shift
 
 
 @jit_inlined
-def dimensionless_time(d: Any, t_ns: Any) -> Any:
+def dimensionless_time(d, t_ns):
     """A dimensionless time: that since the epoch over the reference time; without an epoch as it is."""
     return t_ns if d.epoch_ns == 0 else dimensionless_duration(d, t_ns - d.epoch_ns) + TIME_ORIGIN_NS
 
 
 @jit
-def scale_sense(d: Any, sense: Any, n_channels: Any) -> None:
+def scale_sense(d, sense, n_channels):
     """Copy new poses and samples to the dimensionless record."""
     scaled, per_m = d.sense, 1.0 / d.length
     n, first = sense.pose_count, d.sense.pose_count
@@ -167,7 +166,7 @@ def scale_sense(d: Any, sense: Any, n_channels: Any) -> None:
 
 
 @jit
-def scale_inputs(params: Any, state: Any, inputs: Any, output: Any) -> None:
+def scale_inputs(params, state, inputs, output):
     """Fill the dimensionless records of this cycle.
 
     Parameters
@@ -207,7 +206,7 @@ def scale_inputs(params: Any, state: Any, inputs: Any, output: Any) -> None:
 
 
 @jit
-def unscale_outputs(state: Any, output: Any) -> None:
+def unscale_outputs(state, output):
     """Copy the dimensionless output and the fold-back latch back in SI units; timestamps stay."""
     d, fold = state[0].scaled, state[0].fold
     fold.close, fold.close_z_m = d.fold.close, d.fold.close_z_m * d.length

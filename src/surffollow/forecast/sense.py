@@ -1,9 +1,5 @@
 """From conversions to distances: the first step of a cycle (paper §3.2.1)."""
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.forecast.pose import push_pose
 from surffollow.shm.conversion import (
     FLAG_INVALID,
@@ -20,13 +16,13 @@ SPACING_GROWTH = 8  # a few losses between lone readings do not make a slow sens
 
 
 @jit_inlined
-def is_absent(params: Any, age_ns: Any) -> Any:
+def is_absent(params, age_ns):
     """Whether a reading of this age is absent, at any cycle rate."""
     return age_ns > ABSENT_TAU * 1e9 * params.plant_tau_s
 
 
 @jit_inlined
-def lose_channel(sense: Any, c: Any) -> None:
+def lose_channel(sense, c):
     """A loss of channel `c`: its window is emptied, and all that averages its readings begins anew."""
     sense.window_n[c] = 0
     sense.valid[c] = 0
@@ -35,7 +31,7 @@ def lose_channel(sense: Any, c: Any) -> None:
 
 
 @jit_inlined
-def note_spacing(sense: Any, c: Any, t_ns: Any) -> None:
+def note_spacing(sense, c, t_ns):
     """Update the usual spacing with a step's newest sample: it shrinks at once and grows slowly."""
     if sense.seen_t_ns[c] != 0:
         gap_ns = t_ns - sense.seen_t_ns[c]
@@ -47,7 +43,7 @@ def note_spacing(sense: Any, c: Any, t_ns: Any) -> None:
 
 
 @jit_inlined
-def push_sample(params: Any, sense: Any, c: Any, t_ns: Any, range_m: Any) -> None:
+def push_sample(params, sense, c, t_ns, range_m):
     """Append a valid sample to the channel's window, which a gap before it empties.
 
     A gap is longer than `ABSENT_TAU` and than twice the usual spacing of samples (a slow sensor has no
@@ -75,7 +71,7 @@ def push_sample(params: Any, sense: Any, c: Any, t_ns: Any, range_m: Any) -> Non
 
 
 @jit_inlined
-def average_windows(params: Any, sense: Any) -> None:
+def average_windows(params, sense):
     """Make a reading of every channel with a sample in this step and `sensor_readings` of them in a row.
 
     It is stamped at the middle of its samples, less the sensor's latency.
@@ -102,7 +98,7 @@ def average_windows(params: Any, sense: Any) -> None:
 
 
 @jit_inlined
-def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
+def take_conversions(params, sense, inputs):
     """Add the cycle's conversions to their windows and average the newest `sensor_readings`.
 
     A conversion on or outside the valid range, or flagged by its driver, is a loss of its channel:
@@ -129,7 +125,7 @@ def take_conversions(params: Any, sense: Any, inputs: Any) -> None:
 
 
 @jit_inlined
-def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
+def take_ranges(params, sense, inputs):
     """Take distances that come ready-made (a CSV, an embedder), averaged like conversions.
 
     NaN, or none given, is no reading in this step; a number on or outside the valid range is a loss.
@@ -147,7 +143,7 @@ def take_ranges(params: Any, sense: Any, inputs: Any) -> None:
 
 
 @jit_inlined
-def take_poses(sense: Any, inputs: Any) -> None:
+def take_poses(sense, inputs):
     """Append the cycle's new poses to the history."""
     for k in range(inputs.n_poses):
         push_pose(sense, inputs.pose_t_ns[k], inputs.pose, k * 7)

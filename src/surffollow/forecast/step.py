@@ -1,9 +1,6 @@
 """One cycle of following: `follow_step`, the same for the daemon, the replay and embedders."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.adaptive_step import compute_demand, publish_estimate
 from surffollow.forecast.fold_back import PROBE_M, limit, watch_fold_back
@@ -50,7 +47,7 @@ from surffollow.shm.layout_follow import (
 
 
 @jit
-def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
+def sf_reset(params, state, offset_m):
     """SFReset: clear intervals, ranges and the previous demand, set the desired stand-off (§3.2.5).
 
     The pose history and the sensor windows are measurements, not forecast: they stay. So does
@@ -80,7 +77,7 @@ def sf_reset(params: Any, state: Any, offset_m: Any) -> None:
 
 
 @jit
-def reset_stop(params: Any, state: Any) -> None:
+def reset_stop(params, state):
     """Leave the latched stop; the forecast restarts, as by SFReset with the stand-off in force.
 
     What was planned before the stop says nothing about where the tool stands now.
@@ -90,7 +87,7 @@ def reset_stop(params: Any, state: Any) -> None:
 
 
 @jit_inlined
-def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: Any) -> Any:
+def find_targets(params, state, output, pose, interpolate):
     """Target points of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
 
     The mean over `ee_readings` points replaces each footprint (§3.2.1), see `average_point`.
@@ -123,7 +120,7 @@ def find_targets(params: Any, state: Any, output: Any, pose: Any, interpolate: A
 
 
 @jit_inlined
-def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
+def clear_output(params, state, inputs, output):
     """Output of a cycle without a demand; distances are published as long as they are extrapolated.
 
     A reading that is not renewed stays valid until `loss_timeout_ns`.
@@ -144,7 +141,7 @@ def clear_output(params: Any, state: Any, inputs: Any, output: Any) -> None:
 
 
 @jit_inlined
-def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any, pose: Any) -> Any:
+def demand_z(params, state, inputs, output, reading_z_m, pose):
     """The paper's vertical demand with limits, hysteresis and fold-back; returns status bits.
 
     Parameters
@@ -192,33 +189,31 @@ def demand_z(params: Any, state: Any, inputs: Any, output: Any, reading_z_m: Any
 
 
 @jit
-def adaptive_cycle(
-    params: Any, adaptive: Any, sense: Any, fold: Any, inputs: Any, output: Any, pose: Any, ready: Any
-) -> Any:
+def adaptive_cycle(params, adaptive, sense, fold, inputs, output, pose, ready):
     """Demand, if a pose is `ready`, and report of the adaptive mode in dimensionless numbers.
 
     Parameters
     ----------
     params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
     pose : (7,) float64 scratch
-    ready : int              0: no pose, or a stale one
+    ready : bool             there is a pose that is not stale
 
     Returns
     -------
     int
         Status bits.
     """
-    if check_configured_latency(params, adaptive.latency) != 0:
+    if check_configured_latency(params, adaptive.latency):
         reset_hold(adaptive.hold)
     status = 0
-    if ready != 0:
+    if ready:
         status = compute_demand(params, adaptive, sense, fold, inputs, output, pose)
     publish_estimate(params, adaptive, output)
     return status
 
 
 @jit
-def scaled_adaptive_cycle(params: Any, state: Any, inputs: Any, output: Any, pose: Any, ready: Any) -> Any:
+def scaled_adaptive_cycle(params, state, inputs, output, pose, ready):
     """`adaptive_cycle` behind the reference scales; where these are 1 nothing is copied.
 
     The arguments before `pose` are (1,) records in SI units; `ready` and the status bits as there.
@@ -227,7 +222,7 @@ def scaled_adaptive_cycle(params: Any, state: Any, inputs: Any, output: Any, pos
     d = s.scaled
     if d.length == 0.0:
         choose_scales(params, state)
-    if is_unscaled(d) != 0:
+    if is_unscaled(d):
         return adaptive_cycle(params[0], s.adaptive, s.sense, s.fold, inputs[0], output[0], pose, ready)
     scale_inputs(params, state, inputs, output)
     status = adaptive_cycle(d.params, s.adaptive, d.sense, d.fold, d.inputs, d.output, pose, ready)
@@ -236,7 +231,7 @@ def scaled_adaptive_cycle(params: Any, state: Any, inputs: Any, output: Any, pos
 
 
 @jit
-def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any) -> None:
+def follow_step(params, state, inputs, output, scratch):
     """One cycle: readings, footprints, demand of the mode in force, run mode, stop.
 
     Parameters
@@ -258,7 +253,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
     else:
         take_conversions(p, s.sense, i)
     clear_output(p, s, i, o)
-    ready = 0
+    ready = False
     n = s.sense.pose_count
     if n == 0:
         o.pose_t_ns = 0
@@ -272,7 +267,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
                 s.sense.losses[c] += 1  # readings without a pose are as good as lost
         elif p.mode == MODE_ADAPTIVE:
             find_targets(p, s, o, scratch, 1)
-            o.status, ready = 0, 1
+            o.status, ready = 0, True
         else:
             sensor_z = find_targets(p, s, o, scratch, p.pose_interpolate)
             o.status = demand_z(p, s, i, o, sensor_z, scratch)
@@ -291,7 +286,7 @@ def follow_step(params: Any, state: Any, inputs: Any, output: Any, scratch: Any)
 
 
 @jit_inlined
-def report_paper(paper: Any, output: Any) -> None:
+def report_paper(paper, output):
     """Copy the state of the paper mode to the output."""
     output.slope, output.speed_mps = paper.slope, paper.speed_mps
     output.reason = 0

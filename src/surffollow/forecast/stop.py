@@ -6,10 +6,6 @@ Causes from outside (requests, a driver's fault, a holder that died) come in thr
 service logs as a STOP entry; causes in the cycle's own status come from `Params.stop_on`. Both are replayed.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import STUCK
 from surffollow.shm.layout_follow import (
@@ -27,7 +23,7 @@ from surffollow.shm.layout_follow import (
 
 
 @jit
-def latch_stop(state: Any, causes: Any) -> None:
+def latch_stop(state, causes):
     """Stop, for these causes (bits of `STOP_NAMES`) beside those latched before.
 
     Parameters
@@ -39,7 +35,7 @@ def latch_stop(state: Any, causes: Any) -> None:
 
 
 @jit_inlined
-def causes_seen(params: Any, state: Any, output: Any) -> Any:
+def causes_seen(params, state, output):
     """Causes in this cycle's status and health: bits of `STOP_NAMES`.
 
     A forecast that has not begun yet is without a reading, which is no loss.
@@ -57,7 +53,7 @@ def causes_seen(params: Any, state: Any, output: Any) -> Any:
 
 
 @jit_inlined
-def apply_stop(params: Any, state: Any, output: Any) -> None:
+def apply_stop(params, state, output):
     """Latch the causes that the configuration names; while stopped the demand is zero and not valid."""
     if output.status & VALID:
         state.stop_armed = 1

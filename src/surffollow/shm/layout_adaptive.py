@@ -1,7 +1,7 @@
 """State of the default follower: one record per stage of its block diagram.
 
 Lengths and times are dimensionless (`reference_scales`): metres and seconds of a usual robot cell.
-Only the stage that owns a record writes it.
+Only the stage that owns a record writes it, and `reset`.
 """
 
 from __future__ import annotations

@@ -4,10 +4,7 @@ The tool's axis has a setpoint in the world that moves within limits of angular 
 A single reading therefore cannot make the demanded rotation jump.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.attitude.plane_fit import reset_plane
 from surffollow.forecast.attitude.rotation_response import reset_rotation, tested_direction
@@ -21,7 +18,7 @@ MAX_PREDICTION_S = 0.2  # slopes are extrapolated by their rates no farther
 
 
 @jit
-def predicted_normal(params: Any, adaptive: Any) -> Any:
+def predicted_normal(params, adaptive):
     """Unit normal of the surface at the time when the robot's axis responds.
 
     It is at most `max_tilt_rad` from the world's z axis: a wrong beam tilts the plane without a bound.
@@ -38,7 +35,7 @@ def predicted_normal(params: Any, adaptive: Any) -> Any:
 
 
 @jit
-def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: Any) -> None:
+def limit_attitude(params, attitude, nx, ny, nz, dt):
     """Move the axis' setpoint toward a direction within limits of velocity and acceleration.
 
     A deviation within `permitted_turn_rad` moves nothing (deadband). The square-root profile limits the
@@ -68,7 +65,7 @@ def limit_attitude(params: Any, attitude: Any, nx: Any, ny: Any, nz: Any, dt: An
 
 
 @jit
-def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None:
+def demand_rotation(params, adaptive, sense, output):
     """Rotation vector from the reported axis of the tool to its setpoint, at most `max_turn_rad`.
 
     Parameters
@@ -108,7 +105,7 @@ def demand_rotation(params: Any, adaptive: Any, sense: Any, output: Any) -> None
 
 
 @jit
-def publish_normal(adaptive: Any, output: Any) -> None:
+def publish_normal(adaptive, output):
     """Publish the normal; it is vertical while no plane is known."""
     plane = adaptive.plane
     length = math.sqrt(plane.slope_x * plane.slope_x + plane.slope_y * plane.slope_y + 1.0)
@@ -124,6 +121,6 @@ def publish_normal(adaptive: Any, output: Any) -> None:
 
 
 @jit
-def release_attitude(attitude: Any) -> None:
+def release_attitude(attitude):
     """Begin at the tool with the next attitude setpoint."""
     attitude.t_ns = 0

@@ -5,20 +5,16 @@ these heights by more than the gate is excluded. After some samples it is accept
 turned), unless three others agree on a plane or its own reading does not change.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.pose import footprint, rotate
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import BEAMS
 
 MAX_REFERENCE_AGE_NS = 12_000_000  # a beam older than the newest by this is no reference
 MAX_AGE_NS = 25_000_000  # older footprints do not belong to the same plane
 STUCK_NS, STUCK_SAMPLES = 100_000_000, 12.0  # a stuck beam repeats its range or keeps its mean so long
-REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it
+REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance
 MEAN_SAMPLES, BAND_SIGMAS = 8.0, 6.0  # in the mean; it is constant within so many standard deviations
 GATE_SIGMAS, MIN_GATE_M = 8.0, 2e-3  # in standard deviations of a reading; least width of the gate
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
@@ -29,7 +25,7 @@ MIN_WEIGHT = 0.05  # of a beam accepted outside the gate
 
 
 @jit
-def choose_reference(params: Any, beams: Any, sense: Any) -> Any:
+def choose_reference(params, beams, sense):
     """Choose the reference channel, whose samples are the follower's; -1: none.
 
     The present one stays while it delivers samples and is inside the gate.
@@ -55,16 +51,16 @@ def choose_reference(params: Any, beams: Any, sense: Any) -> Any:
 
 
 @jit
-def any_beam_changed(beams: Any, n_channels: Any, since_ns: Any) -> Any:
-    """1 when a beam with a sample since a time did not repeat its range: not all are stuck."""
+def any_beam_changed(beams, n_channels, since_ns):
+    """Whether a beam with a sample since a time did not repeat its range: not all are stuck."""
+    changed = False
     for c in range(n_channels):
-        if beams.t_ns[c] > since_ns and beams.repeat_ns[c] == beams.t_ns[c]:
-            return 1
-    return 0
+        changed |= beams.t_ns[c] > since_ns and beams.repeat_ns[c] == beams.t_ns[c]
+    return changed
 
 
 @jit
-def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
+def observe_beams(params, adaptive, sense, pose):
     """Store the footprints of all fresh channels; returns the reference channel, or -1.
 
     Parameters
@@ -100,7 +96,7 @@ def observe_beams(params: Any, adaptive: Any, sense: Any, pose: Any) -> Any:
 
 
 @jit
-def _median(values: Any, n: Any) -> Any:
+def _median(values, n):
     """Median of the first n values, which are sorted in place."""
     for i in range(1, n):
         v, j = values[i], i
@@ -112,14 +108,14 @@ def _median(values: Any, n: Any) -> Any:
 
 
 @jit
-def half_squared_distance(beams: Any, c: Any) -> Any:
+def half_squared_distance(beams, c):
     """Half the squared distance of a beam's footprint from the tool's axis [m²]."""
     dx, dy = beams.footprint_m[3 * c] - beams.axis_x_m, beams.footprint_m[3 * c + 1] - beams.axis_y_m
     return 0.5 * (dx * dx + dy * dy)
 
 
 @jit
-def beam_height(adaptive: Any, c: Any, x_m: Any, y_m: Any) -> Any:
+def beam_height(adaptive, c, x_m, y_m):
     """Height at (x, y) of the plane through a beam's footprint, corrected for the curvature [m].
 
     Parameters
@@ -139,8 +135,8 @@ def beam_height(adaptive: Any, c: Any, x_m: Any, y_m: Any) -> Any:
 
 
 @jit
-def is_bent(adaptive: Any, n_channels: Any, gate_m: Any) -> Any:
-    """1 when the accepted beams lie on no plane within the gate, whatever its slopes."""
+def is_bent(adaptive, n_channels, gate_m):
+    """Whether the accepted beams lie on no plane within the gate, whatever its slopes."""
     beams = adaptive.beams
     n, mx, my, mh = 0, 0.0, 0.0, 0.0
     for c in range(n_channels):
@@ -159,7 +155,7 @@ def is_bent(adaptive: Any, n_channels: Any, gate_m: Any) -> Any:
             xh, yh = xh + dx * dh, yh + dy * dh
     determinant = xx * yy - xy * xy
     if not determinant > 1e-4 * (xx + yy) * (xx + yy):
-        return 0
+        return False
     sx, sy = (yy * xh - xy * yh) / determinant, (xx * yh - xy * xh) / determinant
     squares = 0.0
     for c in range(n_channels):
@@ -167,11 +163,11 @@ def is_bent(adaptive: Any, n_channels: Any, gate_m: Any) -> Any:
             e = beams.height_m[c] - mh
             e -= sx * (beams.footprint_m[3 * c] - mx) + sy * (beams.footprint_m[3 * c + 1] - my)
             squares += e * e
-    return 1 if squares > BENT_GATE * BENT_GATE * gate_m * gate_m else 0
+    return squares > BENT_GATE * BENT_GATE * gate_m * gate_m
 
 
 @jit
-def accept_nearest(adaptive: Any, n_channels: Any, lowest_m: Any) -> Any:
+def accept_nearest(adaptive, n_channels, lowest_m):
     """Accept the beams that see the nearest ground; returns how many."""
     beams = adaptive.beams
     beams.inconsistent = 1
@@ -189,7 +185,7 @@ def accept_nearest(adaptive: Any, n_channels: Any, lowest_m: Any) -> Any:
 
 
 @jit
-def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
+def isolate_faults(adaptive, n_channels, t_ns, x_m, y_m):
     """Exclude beams outside the gate, weigh the others; returns how many are accepted.
 
     Parameters
@@ -224,7 +220,7 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
             agree += 1
     majority = agree >= 3 and plane.rank == 2
     nearest = beams.sorted_m[n - 1]
-    apart = 2 * agree <= n and is_bent(adaptive, n_channels, gate) != 0
+    apart = 2 * agree <= n and is_bent(adaptive, n_channels, gate)
     # beams that deviated may meet a good one by chance: the nearest ground has to agree as well
     if n >= 4 and plane.count > 0 and (apart or (beams.inconsistent != 0 and nearest > median + gate)):
         return accept_nearest(adaptive, n_channels, nearest - gate)
@@ -264,7 +260,7 @@ def isolate_faults(adaptive: Any, n_channels: Any, t_ns: Any, x_m: Any, y_m: Any
 
 
 @jit
-def mean_height(adaptive: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
+def mean_height(adaptive, n_channels, x_m, y_m):
     """Weighted mean of the accepted beams' heights at (x, y) [m].
 
     Parameters
@@ -283,16 +279,8 @@ def mean_height(adaptive: Any, n_channels: Any, x_m: Any, y_m: Any) -> Any:
 
 
 @jit
-def note_first_sample(beams: Any, t_ns: Any) -> Any:
+def note_first_sample(beams, t_ns):
     """Return the time of the first sample of the run, which may be this one [ns]."""
     if beams.first_ns == 0 or t_ns < beams.first_ns:
         beams.first_ns = t_ns
     return beams.first_ns
-
-
-@jit
-def reset_beam_times(beams: Any) -> None:
-    """Discard all times: the clock jumped."""
-    beams.first_ns = 0
-    for c in range(BEAMS):
-        beams.t_ns[c] = beams.changed_ns[c] = 0

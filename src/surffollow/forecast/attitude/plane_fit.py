@@ -4,10 +4,7 @@ Three accepted beams or more update both slopes, two the slope along their line,
 that it draws on the ground. Slopes that are not observed are kept.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.attitude.beam_detection import (
     half_squared_distance,
@@ -15,6 +12,7 @@ from surffollow.forecast.attitude.beam_detection import (
     mean_height,
     note_first_sample,
 )
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.shm.jit import jit
 
 FIRST_PLANE_NS = 100_000_000  # at the start one or two beams wait so long for a third
@@ -22,7 +20,6 @@ MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their
 MIN_SPREAD_M = 5e-3  # least spread of the footprints that gives a slope
 MAX_SLOPE = 3.0  # 72 degrees: steeper is no surface that a tool follows
 SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes [rad/s]; damping 1.1
-MAX_GAP_NS = 50_000_000  # over longer gaps slopes are not extrapolated
 RATE_DECAY_S = 0.05  # time constant of a rate that is not observed
 SLOPE_INNOVATION_LIMIT = 0.2  # of one sample
 TRACK_TIME_CONSTANT_S = 0.1  # of the slope from a beam's track
@@ -37,7 +34,7 @@ MAX_CURVATURE = 10.0  # 1/m
 
 
 @jit
-def plane_height(params: Any, adaptive: Any, t_ns: Any, x_m: Any, y_m: Any) -> Any:
+def plane_height(params, adaptive, t_ns, x_m, y_m):
     """Height under the tool from all accepted beams, and their number; 0 when there are none.
 
     The height is that of the plane that touches the ground where the tool's axis meets it.
@@ -70,7 +67,7 @@ def plane_height(params: Any, adaptive: Any, t_ns: Any, x_m: Any, y_m: Any) -> A
 
 
 @jit
-def propagate_slopes(plane: Any, t_ns: Any) -> Any:
+def propagate_slopes(plane, t_ns):
     """Propagate the slopes to a sample by their rates; time since the last one [s], 0 after a gap."""
     dt = (t_ns - plane.t_ns) * 1e-9
     if plane.t_ns == 0 or not 0.0 < dt <= MAX_GAP_NS * 1e-9:
@@ -85,13 +82,13 @@ def propagate_slopes(plane: Any, t_ns: Any) -> Any:
 
 
 @jit
-def hold_slopes(plane: Any) -> None:
+def hold_slopes(plane):
     """Keep the slopes: the beams do not agree on any."""
     plane.slope_rate_x_hz = plane.slope_rate_y_hz = 0.0
 
 
 @jit
-def update_slopes(plane: Any, ex: Any, ey: Any, dt: Any) -> None:
+def update_slopes(plane, ex, ey, dt):
     """Update slopes and rates with an innovation; the first planes have the full gain."""
     share = min(2.2 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
     plane.slope_rate_x_hz += share * share / 4.84 * ex / dt if dt > 0.0 else 0.0
@@ -102,7 +99,7 @@ def update_slopes(plane: Any, ex: Any, ey: Any, dt: Any) -> None:
 
 
 @jit
-def fit_plane(adaptive: Any, n_channels: Any, accepted: Any, dt: Any) -> None:
+def fit_plane(adaptive, n_channels, accepted, dt):
     """Update the slopes with the accepted beams: a plane, or a line along two.
 
     Parameters
@@ -194,7 +191,7 @@ def fit_plane(adaptive: Any, n_channels: Any, accepted: Any, dt: Any) -> None:
 
 
 @jit
-def update_track(adaptive: Any, c: Any) -> None:
+def update_track(adaptive, c):
     """Add a beam's footprint to its track, whose older footprints fade with the distance travelled.
 
     `plane.track` holds weight, means of x, y, z and sums xx, xy, yy, xz, yz about them.
@@ -228,7 +225,7 @@ def update_track(adaptive: Any, c: Any) -> None:
 
 
 @jit
-def track_slope(plane: Any) -> Any:
+def track_slope(plane):
     """Direction of the track (ux, uy) and the slope along it at the beam; NaN when it is too short."""
     k = plane.track
     angle = 0.5 * math.atan2(2.0 * k[5], k[4] - k[6])
@@ -241,7 +238,7 @@ def track_slope(plane: Any) -> Any:
 
 
 @jit
-def update_from_track(plane: Any, dt: Any, ux: Any, uy: Any, slope: Any) -> None:
+def update_from_track(plane, dt, ux, uy, slope):
     """Update the slope along (ux, uy), which no other beam observes, with that of a track.
 
     Parameters
@@ -261,9 +258,7 @@ def update_from_track(plane: Any, dt: Any, ux: Any, uy: Any, slope: Any) -> None
 
 
 @jit
-def update_curvature(
-    adaptive: Any, n_channels: Any, dt: Any, mean: Any, of_height: Any, of_bulge: Any
-) -> None:
+def update_curvature(adaptive, n_channels, dt, mean, of_height, of_bulge):
     """Update the mean curvature with the residuals of the plane fit.
 
     Parameters
@@ -287,13 +282,7 @@ def update_curvature(
 
 
 @jit
-def reset_plane(plane: Any) -> None:
+def reset_plane(plane):
     """Discard the plane."""
     plane.t_ns = plane.count = 0
     plane.slope_x = plane.slope_y = plane.slope_rate_x_hz = plane.slope_rate_y_hz = plane.curvature = 0.0
-
-
-@jit
-def reset_plane_time(plane: Any) -> None:
-    """Keep the slopes, discard their time: the clock jumped."""
-    plane.t_ns = 0

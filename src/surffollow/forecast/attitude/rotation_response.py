@@ -8,15 +8,21 @@ not, the ground may have become plane: the tool turns on by a little (`ROTATION_
 must shrink by that. If it does not, the tool does not turn (`ROTATION_FAILED`) until the deviation changes.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.attitude.beam_detection import MAX_AGE_NS
-from surffollow.forecast.attitude.plane_fit import MAX_GAP_NS, SLOPE_BANDWIDTH_RADPS
+from surffollow.forecast.attitude.plane_fit import SLOPE_BANDWIDTH_RADPS
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.sensing.response import (
+    MIN_MEANS,
+    MOTION_BANDS,
+    RUN_SAMPLES,
+    STOP_TAUS,
+    TEST_BAND_FACTOR,
+    is_suspicious,
+)
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import (
     ROTATION_FAILED,
@@ -26,20 +32,12 @@ from surffollow.shm.layout_adaptive_sensing import (
 )
 
 MEAN_SAMPLES = 16.0  # in the mean deviation, or those of a time constant of the slope filter
-BAND_SIGMAS = 4.0  # of the mean: the deviation has changed …
-TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
-TURN_BANDS = 4.0  # shorter rotations hide in the noise
-DEVIATION_TURN = 0.36  # of a band times `max_tilt_rad`: deviation × rotation; a small one needs a long one
+BAND_SIGMAS = 4.0  # of the mean: the deviation has changed
 FAR_TURN = 0.3  # of `max_tilt_rad`: beyond, a constant deviation is always tested
-LAG_TAUS = 0.3  # deviations that so great a lag of the axis model explains are no sign of a fault
-MIN_RUN_MEANS = 2.0  # independent means in a run before a test, and in the answer to a probe
-STOP_TAUS = 2.0  # until the tool has stopped
-PROBE_BANDS = 4.0  # rotation of the probe, in bands
-RUN_SAMPLES = 64  # in the mean of a run
 
 
 @jit
-def mean_range(beams: Any, n_channels: Any, t_ns: Any, range_m: Any) -> Any:
+def mean_range(beams, n_channels, t_ns, range_m):
     """Mean of the newest ranges of all beams [m]: constant only if none of them responds.
 
     Parameters
@@ -58,7 +56,7 @@ def mean_range(beams: Any, n_channels: Any, t_ns: Any, range_m: Any) -> Any:
 
 
 @jit
-def _begin_run(rotation: Any, t_ns: Any, axis: Any) -> None:
+def _begin_run(rotation, t_ns, axis):
     """Begin a run of constant deviations at the present mean."""
     rotation.phase, rotation.run_ns, rotation.run_samples = ROTATION_RUN, t_ns, 0
     rotation.run_mean[0], rotation.run_mean[1] = rotation.mean[0], rotation.mean[1]
@@ -66,20 +64,20 @@ def _begin_run(rotation: Any, t_ns: Any, axis: Any) -> None:
 
 
 @jit
-def _begin_phase(rotation: Any, phase: Any, t_ns: Any, axis: Any) -> None:
+def _begin_phase(rotation, phase, t_ns, axis):
     """Begin a phase of the test at the tool's axis."""
     rotation.phase, rotation.test_ns = phase, t_ns
     rotation.test_axis[0], rotation.test_axis[1], rotation.test_axis[2] = axis
 
 
 @jit
-def reset_rotation(rotation: Any) -> None:
+def reset_rotation(rotation):
     """Begin anew with the next plane."""
     rotation.t_ns, rotation.phase = 0, ROTATION_RUN
 
 
 @jit
-def observe_rotation(params: Any, adaptive: Any, t_ns: Any, pose: Any) -> None:
+def observe_rotation(params, adaptive, t_ns, pose):
     """Update the test with the newest plane.
 
     Parameters
@@ -120,31 +118,30 @@ def observe_rotation(params: Any, adaptive: Any, t_ns: Any, pose: Any) -> None:
     if rotation.phase == ROTATION_RUN:
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
         deviation = math.hypot(run[0], run[1])
-        unexplained = deviation > max(band, LAG_TAUS * tau_s * rate)
-        wrong = unexplained and deviation * turn > DEVIATION_TURN * band * params.max_tilt_rad
+        wrong = is_suspicious(deviation, turn, rate, band, tau_s, params.max_tilt_rad)
         far = turn > FAR_TURN * params.max_tilt_rad
-        if rotation.run_samples > MIN_RUN_MEANS * number and turn > TURN_BANDS * band and (wrong or far):
+        if rotation.run_samples > MIN_MEANS * number and turn > MOTION_BANDS * band and (wrong or far):
             rotation.rate_radps = rate
             _begin_phase(rotation, ROTATION_HOLD, t_ns, axis)
     elif rotation.phase == ROTATION_HOLD:
         missing = rotation.rate_radps * ((t_ns - rotation.test_ns) * 1e-9 - STOP_TAUS * tau_s)
-        if missing > TURN_BANDS * band:
-            rotation.probe_rad, rotation.probe_samples = PROBE_BANDS * band, 0
+        if missing > MOTION_BANDS * band:
+            rotation.probe_rad, rotation.probe_samples = MOTION_BANDS * band, 0
             _begin_phase(rotation, ROTATION_PROBE, t_ns, axis)
     elif rotation.phase == ROTATION_PROBE and turn > 0.5 * rotation.probe_rad:
         rotation.probe_samples += 1
-        if rotation.probe_samples > MIN_RUN_MEANS * number:
+        if rotation.probe_samples > MIN_MEANS * number:
             _begin_phase(rotation, ROTATION_FAILED, t_ns, axis)
 
 
 @jit
-def has_failed(rotation: Any) -> Any:
-    """1 after a test that the deviation did not follow, until it changes."""
-    return 1 if rotation.phase == ROTATION_FAILED else 0
+def has_failed(rotation):
+    """Whether the deviation did not follow a test, and has not changed since."""
+    return rotation.phase == ROTATION_FAILED
 
 
 @jit
-def tested_direction(rotation: Any, nx: Any, ny: Any, nz: Any) -> Any:
+def tested_direction(rotation, nx, ny, nz):
     """Direction for the tool's axis: the normal, or as near to it as a test in progress permits.
 
     Parameters

@@ -4,10 +4,6 @@ Permitted_Variance is the change of the demand that is not relayed. Where the st
 is larger, it takes its place. Interval_Size and Range_Size in force follow from the gain of the blend.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import INTERVALS
 
@@ -16,7 +12,7 @@ MIN_GAIN = 1e-4  # bounds the published Interval_Size
 
 
 @jit
-def update_deadband(params: Any, adaptive: Any) -> None:
+def update_deadband(params, adaptive):
     """Set Permitted_Variance in force and the deadband of the setpoint filter."""
     estimate, adaptation = adaptive.estimate, adaptive.adaptation
     adaptation.permitted_variance_m = max(params.permitted_variance_m, min(estimate.sigma_m, MAX_PERMITTED_M))
@@ -24,7 +20,7 @@ def update_deadband(params: Any, adaptive: Any) -> None:
 
 
 @jit
-def publish_adaptation(params: Any, adaptive: Any, output: Any) -> None:
+def publish_adaptation(params, adaptive, output):
     """Publish Permitted_Variance, Interval_Size and Range_Size in force.
 
     A mean over n samples has the variance of a filter with gain 2 / (n + 1).

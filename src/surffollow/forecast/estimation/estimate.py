@@ -1,9 +1,6 @@
 """The estimate: propagate, gate, update and blend the model bank with one sample."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.estimation.innovation_gate import (
     INNER_GATE,
@@ -52,7 +49,6 @@ from surffollow.forecast.terrain.terrain_regression import reset_mean, update_re
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-IMMEDIATELY_S = 1.0  # long against every time constant of the weights
 INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
 AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
 # after a start and after a loss the performance index waits until setpoints have acted
@@ -65,7 +61,7 @@ SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
 
 @jit
-def blend_height(adaptive: Any) -> Any:
+def blend_height(adaptive):
     """Blended height at the point up to which the models are propagated [m]: h = Σ w_i h_i."""
     h = 0.0
     for i in range(N_MODELS):
@@ -74,7 +70,7 @@ def blend_height(adaptive: Any) -> Any:
 
 
 @jit
-def blend_models(adaptive: Any) -> None:
+def blend_models(adaptive):
     """Blend height, slope and variance of the models at the newest sample.
 
     σ² = Σ w_i (P_i + (h_i − h)²)
@@ -91,7 +87,7 @@ def blend_models(adaptive: Any) -> None:
 
 
 @jit
-def note_accepted(adaptive: Any, t_ns: Any) -> None:
+def note_accepted(adaptive, t_ns):
     """Note the time of a sample that enters the estimate, and which jump of the position it is behind."""
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
     estimate.accepted_ns = t_ns
@@ -100,9 +96,7 @@ def note_accepted(adaptive: Any, t_ns: Any) -> None:
 
 
 @jit
-def reset_estimate(
-    params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
-) -> None:
+def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     """Initialise with level ground at the first height; the performance index from before a loss stays.
 
     Parameters
@@ -112,7 +106,7 @@ def reset_estimate(
     travel_m : float64    distance travelled by the footprint since the sample before [m], ≥ 0
     h_m : float64         height of the footprint [m]
     standoff_m : float64  desired height of the tool above the ground [m]
-    adapt : int           0: the weights stay as they are, unless this is the first sample of all
+    adapt : bool          False: the weights stay as they are, unless this is the first sample of all
     """
     noise, gate, shadow, weights = adaptive.noise, adaptive.gate, adaptive.shadow, adaptive.weights
     estimate = adaptive.estimate
@@ -126,8 +120,8 @@ def reset_estimate(
         initialise_gate(gate)
         reset_delay(adaptive.latency)
     estimate.samples = 1
-    if fresh or adapt != 0:
-        update_weights(params, adaptive, IMMEDIATELY_S)
+    if fresh or adapt:
+        update_weights(params, adaptive, math.inf)  # without their filter
     reset_gate(gate)
     estimate.sample_ns = t_ns
     note_accepted(adaptive, t_ns)
@@ -141,7 +135,7 @@ def reset_estimate(
 
 
 @jit
-def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, standoff_m: Any, adapt: Any) -> None:
+def restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt):
     """Initialise again after a bad first sample; discard noise and slots learned from it, keep older ones.
 
     Parameters
@@ -150,7 +144,7 @@ def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, standoff_m
     t_ns : int64          timestamp of the sample
     h_m : float64         height to begin with [m]
     standoff_m : float64  desired height of the tool above the ground [m]
-    adapt : int           as in `reset_estimate`
+    adapt : bool          as in `reset_estimate`
     """
     if adaptive.weights.scored <= adaptive.estimate.samples:
         discard_slots(adaptive.gate)
@@ -159,7 +153,7 @@ def restart_estimate(params: Any, adaptive: Any, t_ns: Any, h_m: Any, standoff_m
 
 
 @jit
-def confirm_step(params: Any, adaptive: Any) -> None:
+def confirm_step(params, adaptive):
     """Shift every model to the mean of the pending samples; these enter the terrain buffer."""
     gate, estimate = adaptive.gate, adaptive.estimate
     n = gate.pending
@@ -175,44 +169,21 @@ def confirm_step(params: Any, adaptive: Any) -> None:
 
 
 @jit
-def reverse_estimate(adaptive: Any) -> None:
+def reverse_estimate(adaptive):
     """Reverse the direction of travel: the tool goes back."""
     reverse_bank(adaptive.bank)
     adaptive.estimate.slope = -adaptive.estimate.slope
 
 
 @jit
-def discard_estimate(estimate: Any) -> None:
+def discard_estimate(estimate):
     """Initialise with the next sample."""
     estimate.samples = 0
 
 
 @jit
-def unconfirm_estimate(estimate: Any) -> None:
-    """Initialise with the next sample, and count the loss time-out from it."""
-    estimate.samples = 0
-    estimate.confirmed_ns = 0
-
-
-@jit
-def reset_estimate_times(estimate: Any) -> None:
-    """Discard all times: the clock jumped."""
-    estimate.sample_ns = estimate.accepted_ns = estimate.confirmed_ns = 0
-
-
-@jit
-def erase_estimate(estimate: Any) -> None:
-    """Discard everything: it is not finite."""
-    estimate.samples = 0
-    estimate.height_m = estimate.slope = estimate.sigma_m = estimate.gain = 0.0
-    estimate.arc_length_m = estimate.slope_power = 0.0
-
-
-@jit
-def update_estimate(
-    params: Any, adaptive: Any, t_ns: Any, travel_m: Any, h_m: Any, standoff_m: Any, adapt: Any
-) -> Any:
-    """Propagate the bank to a sample, gate it and update; 1 when it entered the estimate.
+def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
+    """Propagate the bank to a sample, gate it and update; whether it entered the estimate.
 
     Parameters
     ----------
@@ -221,7 +192,7 @@ def update_estimate(
     travel_m : float64       distance travelled by the footprint since the sample before [m], ≥ 0
     h_m : float64            height of the footprint [m]
     standoff_m : float64     wanted height of the tool above the ground [m]
-    adapt : int              0: index, weights, noise and terrain regression stay as they are
+    adapt : bool             False: index, weights, noise and terrain regression stay as they are
     """
     noise, gate, bank, estimate = adaptive.noise, adaptive.gate, adaptive.bank, adaptive.estimate
     kinematics = adaptive.kinematics
@@ -233,7 +204,7 @@ def update_estimate(
         or t_ns - estimate.accepted_ns > params.loss_timeout_ns
     ):
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
-        return 1
+        return True
     gap = t_ns - estimate.sample_ns > max(GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
     travel = max(travel_m, MIN_SPEED_MPS * dt)
     over_ns = t_ns - int(compared_lag_s(adaptive) * 1e9)
@@ -251,33 +222,33 @@ def update_estimate(
     unconfirmed = gate.unconfirmed_m
     # the next one is far away: each counts; with few samples those of nearer ground do
     sparse = (plausible if innovation > 0.0 else PLAUSIBLE_SLOPE * travel) > gate_width(params, gate)
-    if not sparse and needs_second_sample(adaptive, innovation, width) != 0:
-        if adapt != 0 and estimate.samples > 1:
+    if not sparse and needs_second_sample(adaptive, innovation, width):
+        if adapt and estimate.samples > 1:
             update_scale(gate, innovation, width)  # frequent ones mean rough ground
         withhold_sample(gate, innovation, INITIAL_PLAUSIBLE_SLOPE * travel)
-        return 0
+        return False
     if (
         estimate.samples == 1
         and unconfirmed != 0.0
         and abs(innovation - unconfirmed) < AGREEMENT_SHARE * abs(innovation)
     ):
         restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt)
-        return 1
+        return True
     if abs(innovation) > width:
-        if hold_pending(params, adaptive, innovation, travel, width, gap) == 0:
+        if not hold_pending(params, adaptive, innovation, travel, width, gap):
             withhold_sample(gate, innovation, INITIAL_PLAUSIBLE_SLOPE * travel)
-            return 0
+            return False
         if gate.pending > estimate.samples:
             restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
-            return 1
+            return True
         confirm_step(params, adaptive)
         innovation = h_m - estimate.height_m
     else:
         accept_sample(params, gate)
-    if adapt != 0:
+    if adapt:
         update_scale(gate, innovation, width)
         # a shadow axis is where the tool is or was: only heights measured there give its error
-        if comparable != 0 and over_ns > estimate.settle_ns and adaptive.sample.lead_m < MIN_LEAD_M:
+        if comparable and over_ns > estimate.settle_ns and adaptive.sample.lead_m < MIN_LEAD_M:
             update_index(params, adaptive, travel, dt, h_m + standoff_m)
         update_noise(adaptive, h_m)
     r = max(noise.sigma_m, MIN_NOISE_M) ** 2
@@ -297,4 +268,4 @@ def update_estimate(
         estimate.confirmed_ns = t_ns
     store_ground(adaptive, estimate.arc_length_m, h_m)
     update_regression(adaptive, h_m, travel, adapt)
-    return 1
+    return True

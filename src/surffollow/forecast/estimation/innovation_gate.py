@@ -4,10 +4,6 @@ A step toward the tool is confirmed by agreeing samples, a step away from it als
 because it may be a slot. The distance depends on the likelihood of slots: slots end, steps stay.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
@@ -25,14 +21,14 @@ INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have
 
 
 @jit
-def update_scale(gate: Any, innovation_m: Any, gate_m: Any) -> None:
+def update_scale(gate, innovation_m, gate_m):
     """Update the usual innovation."""
     gate.scale_m += SCALE_RATE * (1.25 * min(abs(innovation_m), gate_m) - gate.scale_m)
 
 
 @jit
-def hold_pending(params: Any, adaptive: Any, innovation_m: Any, travel_m: Any, gate_m: Any, gap: Any) -> Any:
-    """Hold an outlier as pending; 1 when it confirms a step.
+def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
+    """Hold an outlier as pending; whether it confirms a step.
 
     `pending_arc_length_m` and `pending_height_m` are sums over the samples that agree.
 
@@ -76,17 +72,17 @@ def hold_pending(params: Any, adaptive: Any, innovation_m: Any, travel_m: Any, g
         gate.rejected, int(BURST_TAUS * adaptive.plant.tau_s / max(adaptive.prediction.interval_s, 1e-6))
     )
     if gate.pending < need + more:
-        return 0
+        return False
     if innovation_m > 0.0 or gate.pending_travel_m >= params.step_travel_m * gate.slot_likelihood:
-        return 1
+        return True
     # more pending samples than accepted ones: the start was bad; at rest there is no travel
     outvoted = gate.pending > estimate.samples
-    return 1 if outvoted or estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS else 0
+    return outvoted or estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS
 
 
 @jit
-def needs_second_sample(adaptive: Any, innovation_m: Any, gate_m: Any) -> Any:
-    """1 for a single innovation between the inner gate and the gate.
+def needs_second_sample(adaptive, innovation_m, gate_m):
+    """Whether a single innovation lies between the inner gate and the gate.
 
     It is the edge of a slot or a small glitch. A second one on the same side is accepted.
     """
@@ -95,28 +91,28 @@ def needs_second_sample(adaptive: Any, innovation_m: Any, gate_m: Any) -> Any:
     gate.unconfirmed_m = 0.0
     inner = INNER_GATE if adaptive.estimate.samples > 1 else INITIAL_INNER_GATE
     if not inner * gate_m < abs(innovation_m) <= gate_m or before * innovation_m > 0.0:
-        return 0
+        return False
     gate.unconfirmed_m = innovation_m
     if gate.pending > 0:  # it agrees with no outlier before
         gate.rejected += 1
         gate.pending = 0
-    return 1
+    return True
 
 
 @jit
-def withhold_sample(gate: Any, innovation_m: Any, plausible_m: Any) -> None:
+def withhold_sample(gate, innovation_m, plausible_m):
     """Note how much nearer a sample is that waits for a second one; 0 where ground cannot rise like that."""
     gate.withheld_m = innovation_m if 0.0 < innovation_m < plausible_m else 0.0
 
 
 @jit
-def is_slow(adaptive: Any) -> Any:
+def is_slow(adaptive):
     """Whether the sensor's interval is longer than τ/2: a second sample comes late."""
     return adaptive.prediction.interval_s > CONFIRMATION_TAUS * adaptive.plant.tau_s
 
 
 @jit
-def raised_by_withheld(adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
+def raised_by_withheld(adaptive, target_m, standoff_m):
     """Setpoint, raised for a nearer sample of a slow sensor that waits for a second one [m].
 
     Parameters
@@ -132,13 +128,13 @@ def raised_by_withheld(adaptive: Any, target_m: Any, standoff_m: Any) -> Any:
 
 
 @jit
-def gate_width(params: Any, gate: Any) -> Any:
+def gate_width(params, gate):
     """Width of the gate [m]."""
     return max(params.gate_scales * gate.scale_m, params.gate_m)
 
 
 @jit
-def update_travel(params: Any, gate: Any, travel_m: Any) -> None:
+def update_travel(params, gate, travel_m):
     """Add the distance travelled since the last step; a step that stays lowers the likelihood of slots."""
     if (
         gate.travel_since_step_m < params.step_travel_m <= gate.travel_since_step_m + travel_m
@@ -149,7 +145,7 @@ def update_travel(params: Any, gate: Any, travel_m: Any) -> None:
 
 
 @jit
-def accept_sample(params: Any, gate: Any) -> None:
+def accept_sample(params, gate):
     """Drop the pending samples; if they were enough for a step, they were a slot."""
     if gate.pending >= params.step_samples:
         gate.slot_likelihood = 1.0
@@ -158,7 +154,7 @@ def accept_sample(params: Any, gate: Any) -> None:
 
 
 @jit
-def register_step(params: Any, gate: Any, t_ns: Any) -> None:
+def register_step(params, gate, t_ns):
     """Take the pending samples as a step confirmed at `t_ns`."""
     n = gate.pending
     if gate.travel_since_step_m < params.step_travel_m and gate.pending_innovation_m * gate.step_m < 0.0:
@@ -177,14 +173,14 @@ def register_step(params: Any, gate: Any, t_ns: Any) -> None:
 
 
 @jit
-def initialise_gate(gate: Any) -> None:
+def initialise_gate(gate):
     """Assume the usual innovation and the likelihood of slots of a start without knowledge."""
     gate.scale_m = 2.0 * INITIAL_NOISE_M
     gate.slot_likelihood = 1.0
 
 
 @jit
-def reset_gate(gate: Any) -> None:
+def reset_gate(gate):
     """Drop pending samples and the last step; scale and likelihood of slots stay."""
     gate.pending = gate.rejected = 0
     gate.unconfirmed_m = gate.withheld_m = 0.0
@@ -193,21 +189,6 @@ def reset_gate(gate: Any) -> None:
 
 
 @jit
-def drop_pending(gate: Any) -> None:
-    """Drop the pending samples."""
-    gate.pending = 0
-    gate.withheld_m = 0.0
-
-
-@jit
-def discard_slots(gate: Any) -> None:
+def discard_slots(gate):
     """Mark the likelihood of slots as not known."""
     gate.slot_likelihood = 0.0
-
-
-@jit
-def discard_gate(gate: Any) -> None:
-    """Mark everything as not known."""
-    drop_pending(gate)
-    gate.slot_likelihood = 0.0
-    gate.scale_m = 0.0

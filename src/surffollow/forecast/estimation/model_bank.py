@@ -52,7 +52,7 @@ assert N_MODELS <= MAX_MODELS
 
 
 @jit
-def reset_bank(bank: Any, h_m: Any, variance_m2: Any) -> None:
+def reset_bank(bank, h_m, variance_m2):
     """Set all models to level ground at a height."""
     for i in range(N_MODELS):
         bank.x0[i], bank.x1[i], bank.x2[i] = h_m, 0.0, 0.0
@@ -61,7 +61,7 @@ def reset_bank(bank: Any, h_m: Any, variance_m2: Any) -> None:
 
 
 @jit
-def compute_transition(bank: Any, d_m: Any) -> None:
+def compute_transition(bank, d_m):
     """Coefficients of all models over a distance [m]: exp(−d/a) and its integral; of waves cosine and sine.
 
     Models of one scale follow each other: a coefficient is computed once. The angle of a wave is twice that
@@ -81,7 +81,7 @@ def compute_transition(bank: Any, d_m: Any) -> None:
 
 
 @jit
-def propagate_bank(bank: Any, d: Any) -> None:
+def propagate_bank(bank, d):
     """Propagate all models over a distance travelled [m]."""
     compute_transition(bank, d)
     for i in range(N_SLOPES):  # F = [[1, g], [0, e]]
@@ -120,7 +120,7 @@ def propagate_bank(bank: Any, d: Any) -> None:
 
 
 @jit
-def update_bank(bank: Any, h_m: Any, variance_m2: Any) -> None:
+def update_bank(bank, h_m, variance_m2):
     """Update all models with a height."""
     for i in range(N_MODELS):
         wave = 1.0 if i >= WAVES else 0.0  # its height is mean and sine
@@ -140,19 +140,19 @@ def update_bank(bank: Any, h_m: Any, variance_m2: Any) -> None:
 
 
 @jit
-def model_height(i: Any, bank: Any) -> Any:
+def model_height(i, bank):
     """Height by model i at its present arc length [m]."""
     return bank.x0[i] + bank.x1[i] if i >= WAVES else bank.x0[i]
 
 
 @jit
-def model_slope(i: Any, bank: Any) -> Any:
+def model_slope(i, bank):
     """Slope by model i at its present arc length."""
     return SCALE[i] * bank.x2[i] if i >= WAVES else bank.x1[i]
 
 
 @jit
-def reverse_bank(bank: Any) -> None:
+def reverse_bank(bank):
     """Reverse the direction of travel: slopes, and sines of waves, change their sign."""
     for i in range(WAVES):
         bank.x1[i], bank.p01[i], bank.p12[i] = -bank.x1[i], -bank.p01[i], -bank.p12[i]
@@ -161,7 +161,7 @@ def reverse_bank(bank: Any) -> None:
 
 
 @jit
-def extrapolate_bank(bank: Any, d: Any) -> None:
+def extrapolate_bank(bank, d):
     """Change of height up to d [m] ahead, and slope there, by all models: `rise_m`, `slope_ahead`.
 
     Where d is negative, slopes and curvatures decay backwards as they do forwards.
@@ -179,7 +179,7 @@ def extrapolate_bank(bank: Any, d: Any) -> None:
 
 
 @jit
-def extrapolation_variance(i: Any, bank: Any, d: Any) -> Any:
+def extrapolation_variance(i, bank, d):
     """Variance of the height d [m] ahead by model i, its slope kept [m²]."""
     if i >= WAVES:
         d *= SCALE[i]
@@ -189,7 +189,7 @@ def extrapolation_variance(i: Any, bank: Any, d: Any) -> Any:
 
 
 @jit
-def shift_bank(bank: Any, h_m: Any, since_m: Any) -> None:
+def shift_bank(bank, h_m, since_m):
     """Shift every model so that it passes through a height `since_m` ago; its slope stays."""
     for i in range(N_MODELS):
         bank.x0[i] += h_m - model_height(i, bank) + model_slope(i, bank) * since_m

@@ -5,10 +5,7 @@ averaged over a recent and a longer horizon, is the performance index. The varia
 subtracted, and penalties for effort, chance and variance are added.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
@@ -37,7 +34,7 @@ INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
 
 
 @jit
-def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m: Any) -> None:
+def update_index(params, adaptive, travel_m, dt_s, target_m):
     """Update the performance index of all models with a sample, then the weights.
 
     Parameters
@@ -67,13 +64,13 @@ def update_index(params: Any, adaptive: Any, travel_m: Any, dt_s: Any, target_m:
 
 
 @jit
-def noise_fraction(score_m2: Any, noise_m: Any) -> Any:
+def noise_fraction(score_m2, noise_m):
     """Share of a mean squared error that is the noise of the readings, 0 to 1."""
     return min(NOISE_MARGIN * noise_m * noise_m, score_m2) / score_m2 if score_m2 > 0.0 else 1.0
 
 
 @jit
-def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
+def update_weights(params, adaptive, dt_s):
     """Compute the weights: powers of both indices with penalties, filtered in time."""
     shadow, weights = adaptive.shadow, adaptive.weights
     least_recent, least_longer = weights.recent_m2[0], weights.longer_m2[0]
@@ -128,15 +125,8 @@ def update_weights(params: Any, adaptive: Any, dt_s: Any) -> None:
 
 
 @jit
-def reset_index(weights: Any) -> None:
+def reset_index(weights):
     """Set the performance index of all models to the same value."""
     for i in range(N_MODELS):
         weights.recent_m2[i] = weights.longer_m2[i] = INITIAL_INDEX_M2
     weights.scored = 0
-
-
-@jit
-def discard_weights(weights: Any) -> None:
-    """Set all weights to zero: new ones would be filtered from them."""
-    for i in range(N_MODELS):
-        weights.weight[i] = 0.0

@@ -1,9 +1,6 @@
 """Noise of the readings from second differences of accepted heights."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.shm.jit import jit
 
@@ -15,7 +12,7 @@ MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 
 
 @jit
-def update_noise(adaptive: Any, h_m: Any) -> None:
+def update_noise(adaptive, h_m):
     """Update the noise: running median of second differences, which contain no slope."""
     noise = adaptive.noise
     if adaptive.estimate.samples > 2:
@@ -29,20 +26,20 @@ def update_noise(adaptive: Any, h_m: Any) -> None:
 
 
 @jit
-def initialise_noise(noise: Any) -> None:
+def initialise_noise(noise):
     """Assume the noise of a start without knowledge."""
     noise.sigma_m = INITIAL_NOISE_M
     noise.median_m = INITIAL_NOISE_M / MAD_TO_SIGMA
 
 
 @jit
-def discard_noise(noise: Any) -> None:
+def discard_noise(noise):
     """Mark the noise as not known."""
     noise.sigma_m = 0.0
 
 
 @jit
-def shift_heights(noise: Any, shift_m: Any) -> None:
+def shift_heights(noise, shift_m):
     """Shift the recent heights by that of a confirmed step."""
     noise.recent_m[0] += shift_m
     noise.recent_m[1] += shift_m

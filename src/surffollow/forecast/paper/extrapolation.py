@@ -1,16 +1,12 @@
 """The paper's forecast: slope, extrapolation, hysteresis (§3.2.4), on top of intervals and ranges."""
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.forecast.paper.intervals import add_point, cut_ranges, range_slope
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import POINTS, POSES
 
 
 @jit_inlined
-def average_point(params: Any, paper: Any, sense: Any, channel: Any, pose_t_ns: Any, point: Any) -> None:
+def average_point(params, paper, sense, channel, pose_t_ns, point):
     """Average the channel's last `ee_readings` target points since its last loss (§3.2.1).
 
     Parameters
@@ -61,7 +57,7 @@ def average_point(params: Any, paper: Any, sense: Any, channel: Any, pose_t_ns: 
 
 
 @jit_inlined
-def measure_speed(params: Any, paper: Any, sense: Any) -> None:
+def measure_speed(params, paper, sense):
     """Lateral speed of the footprint, between the mean target points at successive pose updates.
 
     The time between two means is that between the mean stamps of the poses they were made with: while
@@ -86,7 +82,7 @@ def measure_speed(params: Any, paper: Any, sense: Any) -> None:
 
 
 @jit_inlined
-def paper_update(params: Any, paper: Any, sense: Any) -> None:
+def paper_update(params, paper, sense):
     """Take a new averaged target point of channel 0 into intervals, ranges, slope and speed."""
     mean = paper.mean_m
     opened = add_point(paper, mean[0], mean[1], mean[2], params.interval_size_m)
@@ -97,7 +93,7 @@ def paper_update(params: Any, paper: Any, sense: Any) -> None:
 
 
 @jit_inlined
-def note_place(paper: Any, sense: Any) -> None:
+def note_place(paper, sense):
     """Where the newest pose is when a reading counts, and the one before: they tell the heading."""
     slot, previous = 7 * ((sense.pose_count - 1) & (POSES - 1)), 7 * ((sense.pose_count - 2) & (POSES - 1))
     paper.reading_x_m, paper.reading_y_m = sense.pose[slot], sense.pose[slot + 1]
@@ -107,7 +103,7 @@ def note_place(paper: Any, sense: Any) -> None:
 
 
 @jit_inlined
-def distance_since_reading(params: Any, paper: Any, sense: Any, t_ns: Any) -> Any:
+def distance_since_reading(params, paper, sense, t_ns):
     """Distance along the heading since the last reading, from the poses, plus one Interval_Size [m].
 
     The newest pose is extrapolated to `t_ns` by the last speed. Negative when the tool went back farther.
@@ -127,15 +123,15 @@ def distance_since_reading(params: Any, paper: Any, sense: Any, t_ns: Any) -> An
 
 @jit_inlined
 def paper_forecast(
-    params: Any,
-    paper: Any,
-    t_ns: Any,
-    fresh: Any,
-    range_m: Any,
-    reading_z_m: Any,
-    sensor_z_m: Any,
-    max_distance_m: Any,
-) -> Any:
+    params,
+    paper,
+    t_ns,
+    fresh,
+    range_m,
+    reading_z_m,
+    sensor_z_m,
+    max_distance_m,
+):
     """ΔH since the previous reading, and desired minus previous actual stand-off.
 
     The previous stand-off is carried on by the tool's own vertical motion since. A fresh reading becomes
@@ -172,7 +168,7 @@ def paper_forecast(
 
 
 @jit_inlined
-def relay(paper: Any, demand_m: Any, sensor_z_m: Any, permitted_variance_m: Any) -> Any:
+def relay(paper, demand_m, sensor_z_m, permitted_variance_m):
     """The paper's hysteresis: relay nothing new until the demand changes by more than Permitted_Variance.
 
     Until then the position demanded last stays: the demand less the tool's own motion since, because a

@@ -6,10 +6,6 @@ before. Only the newest interval's height still changes, so all else about the
 two ranges is summed once, when an interval opens.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import INTERVALS
 
@@ -17,7 +13,7 @@ _MASK = INTERVALS - 1
 
 
 @jit_inlined
-def open_interval(paper: Any, x_m: Any, y_m: Any, h_m: Any) -> None:
+def open_interval(paper, x_m, y_m, h_m):
     """Make a new interval, centred at the point, the current one.
 
     Parameters
@@ -34,7 +30,7 @@ def open_interval(paper: Any, x_m: Any, y_m: Any, h_m: Any) -> None:
 
 
 @jit_inlined
-def add_point(paper: Any, x_m: Any, y_m: Any, h_m: Any, interval_size_m: Any) -> Any:
+def add_point(paper, x_m, y_m, h_m, interval_size_m):
     """Average one target point into the current interval, or open new ones.
 
     Parameters
@@ -81,7 +77,7 @@ def add_point(paper: Any, x_m: Any, y_m: Any, h_m: Any, interval_size_m: Any) ->
 
 
 @jit_inlined
-def cut_ranges(paper: Any, range_size: Any) -> None:
+def cut_ranges(paper, range_size):
     """Re-cut the two newest ranges after an interval was opened; nothing until both are full.
 
     Notes
@@ -112,7 +108,7 @@ def cut_ranges(paper: Any, range_size: Any) -> None:
 
 
 @jit_inlined
-def range_slope(paper: Any, range_size: Any) -> Any:
+def range_slope(paper, range_size):
     """Φ: two-point linear extrapolation of the two newest ranges; 0 until both are full."""
     count = paper.interval_count
     if count < 2 * range_size or paper.range_gap_m <= 0.0:

@@ -1,20 +1,18 @@
 """Model of the controlled axis: proportional, square-root profile, bounded velocity and acceleration."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.shm.jit import jit
 
 BISECTIONS = 24  # resolution: 6e-8 of the interval searched
-AXIS_STEPS = 5  # axis steps of 2 ms in a controller period
 PERIOD_S = 0.01  # of the plan: one controller period
+AXIS_STEP_NS = 2_000_000  # of all axis models
+AXIS_STEPS = round(PERIOD_S * 1e9) // AXIS_STEP_NS  # in a controller period
 ATTAINABLE_SHARE = 0.999  # of the greatest change of velocity in a period; the rest is for rounding
 
 
 @jit
-def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
+def axis_velocity(distance_m, tau_s, a_max_mps2):
     """Velocity at which the axis approaches its setpoint: proportional, then square root [m/s]."""
     linear = a_max_mps2 * tau_s * tau_s
     if distance_m > linear:
@@ -25,9 +23,7 @@ def axis_velocity(distance_m: Any, tau_s: Any, a_max_mps2: Any) -> Any:
 
 
 @jit
-def step_axis(
-    tau_s: Any, v_max_mps: Any, a_max_mps2: Any, z_m: Any, v_mps: Any, target_m: Any, dt_s: Any
-) -> Any:
+def step_axis(tau_s, v_max_mps, a_max_mps2, z_m, v_mps, target_m, dt_s):
     """Position and velocity of the axis after a time step toward its setpoint [m, m/s].
 
     Parameters
@@ -47,7 +43,7 @@ def step_axis(
 
 
 @jit
-def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_m: Any) -> Any:
+def velocity_after_period(params, tau_s, z_m, v_mps, target_m):
     """Velocity of the axis one controller period from now with a setpoint [m/s].
 
     Parameters
@@ -64,7 +60,7 @@ def velocity_after_period(params: Any, tau_s: Any, z_m: Any, v_mps: Any, target_
 
 
 @jit
-def invert_axis(params: Any, tau_s: Any, z_m: Any, v_mps: Any, wanted_mps: Any) -> Any:
+def invert_axis(params, tau_s, z_m, v_mps, wanted_mps):
     """Setpoint with which the axis has a velocity one controller period from now [m].
 
     Bisection: the velocity is monotone in the setpoint. A velocity that the axis does not attain would give

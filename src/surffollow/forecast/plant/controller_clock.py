@@ -5,10 +5,8 @@ pose reports; a controller latches a demand and reports its pose in one cycle. W
 second, the next one tells when the demand is latched, and the demand published before it is the one latched.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
+from surffollow.forecast.plant.axis_model import PERIOD_S
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
@@ -17,24 +15,23 @@ DEFAULT_PERIOD_NS = 9_999_000  # 100 Hz; a microsecond less, timestamps may be r
 PREPARATION_NS = 8_900_000
 LATCH_DELAY_NS = 500_000  # latch time before the cycle that sees the report, on average
 MIN_PERIOD_NS, MAX_PERIOD_NS = 6_000_000, 14_000_000  # between two periods synchronised by reports
-PERIOD_TOLERANCE_NS = 1_000_000  # of the mean interval of reports from 10 ms
-REPORT_TIMEOUT_NS = 50_000_000  # without a report for so long there is no synchronisation
+PERIOD_TOLERANCE_NS = 1_000_000  # of the mean interval of reports from `PERIOD_S`
 PERIOD_RATE = 0.1  # of the usual interval, per report
 
 
 @jit
-def is_synchronised(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
+def is_synchronised(controller, ranges_given, now_ns):
     """Whether pose reports arrive once per controller period.
 
     With `ranges_given` > 0 the caller latches each answer himself; then reports are not used.
     """
-    steady = abs(controller.interval_ns - 10e6) < PERIOD_TOLERANCE_NS
-    return ranges_given <= 0 and steady and 0 <= now_ns - controller.report_ns < REPORT_TIMEOUT_NS
+    steady = abs(controller.interval_ns - PERIOD_S * 1e9) < PERIOD_TOLERANCE_NS
+    return ranges_given <= 0 and steady and 0 <= now_ns - controller.report_ns < MAX_GAP_NS
 
 
 @jit
-def period_is_due(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
-    """1 when the demand of the next controller period has to be prepared.
+def period_is_due(controller, ranges_given, now_ns):
+    """Whether the demand of the next controller period has to be prepared.
 
     Parameters
     ----------
@@ -44,18 +41,14 @@ def period_is_due(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
     """
     elapsed = now_ns - controller.period_ns
     if not is_synchronised(controller, ranges_given, now_ns):
-        return 1 if elapsed >= DEFAULT_PERIOD_NS else 0
+        return elapsed >= DEFAULT_PERIOD_NS
     left = latch_time(controller, ranges_given, now_ns) - now_ns
-    return (
-        1
-        if elapsed >= MAX_PERIOD_NS
-        or (controller.latch_pending == 0 and left <= PREPARATION_NS and elapsed >= MIN_PERIOD_NS)
-        else 0
-    )
+    prepares = controller.latch_pending == 0 and left <= PREPARATION_NS and elapsed >= MIN_PERIOD_NS
+    return prepares or elapsed >= MAX_PERIOD_NS
 
 
 @jit
-def latch_time(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
+def latch_time(controller, ranges_given, now_ns):
     """Time at which the controller latches its next demand [ns]."""
     if not is_synchronised(controller, ranges_given, now_ns):
         return now_ns
@@ -65,7 +58,7 @@ def latch_time(controller: Any, ranges_given: Any, now_ns: Any) -> Any:
 
 
 @jit
-def mean_wait_s(params: Any, controller: Any) -> Any:
+def mean_wait_s(params, controller):
     """Mean time from a demand to its effect: half a controller period, `max_wait_s` at most [s].
 
     A controller reports its pose once per period.
@@ -76,7 +69,7 @@ def mean_wait_s(params: Any, controller: Any) -> Any:
 
 
 @jit
-def open_period(controller: Any, ranges_given: Any, now_ns: Any) -> None:
+def open_period(controller, ranges_given, now_ns):
     """Set the latch time of the period that has just begun; until then its demand may change."""
     controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = latch_time(
         controller, ranges_given, now_ns
@@ -85,7 +78,7 @@ def open_period(controller: Any, ranges_given: Any, now_ns: Any) -> None:
 
 
 @jit
-def observe_report(controller: Any, poses: Any, now_ns: Any) -> None:
+def observe_report(controller, poses, now_ns):
     """Update the period with the arrival of a pose report, which ends a pending latch.
 
     `poses` counts the reports.
@@ -93,7 +86,7 @@ def observe_report(controller: Any, poses: Any, now_ns: Any) -> None:
     if poses == controller.report_count:
         return
     dt = now_ns - controller.report_ns
-    if 0 < dt < REPORT_TIMEOUT_NS:
+    if 0 < dt < MAX_GAP_NS:
         rate = PERIOD_RATE if controller.interval_ns > 0.0 else 1.0
         controller.interval_ns += rate * (dt - controller.interval_ns)
     controller.report_ns, controller.report_count = now_ns, poses
@@ -103,7 +96,7 @@ def observe_report(controller: Any, poses: Any, now_ns: Any) -> None:
 
 
 @jit
-def begin_period(controller: Any, now_ns: Any) -> None:
+def begin_period(controller, now_ns):
     """Begin a controller period now."""
     controller.latch_ns[controller.periods & (N_PERIODS - 1)] = now_ns
     controller.periods += 1
@@ -111,21 +104,14 @@ def begin_period(controller: Any, now_ns: Any) -> None:
 
 
 @jit
-def oldest_period(controller: Any) -> Any:
+def oldest_period(controller):
     """Number of the oldest period that the rings hold."""
     return max(0, controller.periods - N_PERIODS)
 
 
 @jit
-def period_at(controller: Any, k: Any, t_ns: Any) -> Any:
+def period_at(controller, k, t_ns):
     """Number of the newest period that is latched at a time, from period k on."""
     while k + 1 < controller.periods and controller.latch_ns[(k + 1) & (N_PERIODS - 1)] <= t_ns:
         k += 1
     return k
-
-
-@jit
-def reset_controller(controller: Any) -> None:
-    """Discard all periods and the arrival of reports: the clock jumped."""
-    controller.period_ns = controller.report_ns = 0
-    controller.periods = controller.latch_pending = 0  # setpoints of future periods would never be latched

@@ -5,14 +5,11 @@ the reported positions have their minimum near the true one; a parabola interpol
 errors are equal, and the configured time constant stays.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
-from surffollow.forecast.plant.axis_model import step_axis
+from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, step_axis
 from surffollow.forecast.plant.controller_clock import oldest_period, period_at
-from surffollow.forecast.plant.shadow_axes import AXIS_STEP_NS, MAX_AXIS_GAP_NS
+from surffollow.forecast.plant.shadow_axes import MAX_AXIS_GAP_NS
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import N_PLANTS
@@ -31,7 +28,7 @@ VELOCITY_GAIN_HZ = 2.0  # of the observed axis, per report
 
 
 @jit
-def reset_axes(params: Any, adaptive: Any, t_ns: Any, z_m: Any) -> None:
+def reset_axes(params, adaptive, t_ns, z_m):
     """Put all axis models where the tool is.
 
     Parameters
@@ -50,7 +47,7 @@ def reset_axes(params: Any, adaptive: Any, t_ns: Any, z_m: Any) -> None:
 
 
 @jit
-def predict_axis(params: Any, adaptive: Any, to_ns: Any) -> Any:
+def predict_axis(params, adaptive, to_ns):
     """Position and velocity of the observed axis at a later time [m, m/s]."""
     controller, plant = adaptive.controller, adaptive.plant
     z, v = plant.axis_m, plant.axis_mps
@@ -69,7 +66,7 @@ def predict_axis(params: Any, adaptive: Any, to_ns: Any) -> Any:
 
 
 @jit
-def propagate_axes(params: Any, adaptive: Any, to_ns: Any) -> None:
+def propagate_axes(params, adaptive, to_ns):
     """Propagate all axis models with the follower's own setpoints."""
     controller, plant = adaptive.controller, adaptive.plant
     span = to_ns - plant.t_ns
@@ -90,7 +87,7 @@ def propagate_axes(params: Any, adaptive: Any, to_ns: Any) -> None:
 
 
 @jit
-def best_time_constant(plant: Any) -> Any:
+def best_time_constant(plant):
     """τ of the least error by a parabola through three [s]; 0 when the errors do not differ."""
     b, worst = 0, 0.0
     for k in range(N_PLANTS):
@@ -113,7 +110,7 @@ def best_time_constant(plant: Any) -> Any:
 
 
 @jit
-def model_error(plant: Any) -> Any:
+def model_error(plant):
     """Squared error of the best axis model against the reports [m²]."""
     least = plant.error_m2[0]
     for k in range(1, N_PLANTS):
@@ -122,7 +119,7 @@ def model_error(plant: Any) -> Any:
 
 
 @jit
-def remove_common_error(plant: Any) -> None:
+def remove_common_error(plant):
     """Subtract the least error from all: another controller has moved the robot since."""
     least = model_error(plant)
     for k in range(N_PLANTS):
@@ -130,13 +127,13 @@ def remove_common_error(plant: Any) -> None:
 
 
 @jit
-def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
+def update_plant(params, adaptive, sense, adapt):
     """Compare the axis models with a new pose report and move τ toward the best one.
 
     Parameters
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
-    adapt : int  0: τ stays as it is
+    adapt : bool  False: τ stays as it is
     """
     plant, setpoint = adaptive.plant, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
@@ -169,7 +166,7 @@ def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
     plant.axis_mps += VELOCITY_GAIN_HZ * e
     limit = params.plant_v_max_mps
     plant.axis_mps = min(max(plant.axis_mps, -limit), limit)
-    if adapt == 0 or not least < MAX_MODEL_ERROR_M:
+    if not adapt or not least < MAX_MODEL_ERROR_M:
         return
     for k in range(N_PLANTS):
         e = plant.position_m[k] - z
@@ -180,20 +177,14 @@ def update_plant(params: Any, adaptive: Any, sense: Any, adapt: Any) -> None:
 
 
 @jit
-def record_own_setpoint(adaptive: Any, setpoint_m: Any) -> None:
+def record_own_setpoint(adaptive, setpoint_m):
     """Record the follower's own setpoint of the present period."""
     adaptive.plant.setpoint_m[(adaptive.controller.periods - 1) & (N_PERIODS - 1)] = setpoint_m
 
 
 @jit
-def reset_time_constant(params: Any, plant: Any) -> None:
+def reset_time_constant(params, plant):
     """Begin identification anew at the configured time constant."""
     plant.tau_s = plant.tau_configured_s = params.plant_tau_s
     for k in range(N_PLANTS):
         plant.error_m2[k] = 0.0
-
-
-@jit
-def reset_plant_time(plant: Any) -> None:
-    """Put the axes at the tool with the next report: the clock jumped."""
-    plant.t_ns = 0

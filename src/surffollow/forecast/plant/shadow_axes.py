@@ -1,37 +1,32 @@
 """Shadow axes: a simulated copy of the controlled axis per model, driven by its setpoints."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.estimation.model_bank import N_MODELS
-from surffollow.forecast.plant.axis_model import step_axis
+from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, PERIOD_S, step_axis
 from surffollow.forecast.plant.controller_clock import oldest_period, period_at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import MAX_MODELS, N_PERIODS
 
-AXIS_STEP_NS = 2_000_000  # of the shadow axes
 MAX_AXIS_STEPS = 32  # bounds the work per sample
 MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
 MAX_LAG_S = 0.32  # of a sensor that trails: half the setpoints kept, the others are for its latency
 MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest, too
 MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
 EFFORT_RATE = 0.02  # per controller period
-EFFORT_UNIT = 1.0  # (1 m/s²)²
 MAX_EFFORT = 100.0  # (10 m/s²)²: bounds the memory of a step
-PERIOD_RATE_HZ2 = 1e4  # squared rate of the controller, 100 Hz
+PERIOD_RATE_HZ2 = 1.0 / PERIOD_S**2  # squared rate of the controller
 
 
 @jit
-def compared_lag_s(adaptive: Any) -> Any:
+def compared_lag_s(adaptive):
     """Time from the tool over a footprint to its sample when the sensor trails, MAX_LAG_S at most [s]."""
     trail_m = max(-adaptive.sample.lead_m, 0.0)
     return min(trail_m / max(adaptive.kinematics.speed_mps, MIN_SPEED_MPS), MAX_LAG_S)
 
 
 @jit
-def uncompared_m(adaptive: Any) -> Any:
+def uncompared_m(adaptive):
     """Part of the distance by which the sensor trails that the tool does not travel in MAX_LAG_S [m].
 
     No model is extrapolated over it, as no shadow axis shows how well that would do.
@@ -40,7 +35,7 @@ def uncompared_m(adaptive: Any) -> Any:
 
 
 @jit
-def reset_shadows(shadow: Any, t_ns: Any, z_m: Any) -> None:
+def reset_shadows(shadow, t_ns, z_m):
     """Put every shadow axis to rest at a height, at a time."""
     shadow.t_ns = t_ns
     for i in range(N_MODELS):
@@ -49,8 +44,8 @@ def reset_shadows(shadow: Any, t_ns: Any, z_m: Any) -> None:
 
 
 @jit
-def propagate_shadows(params: Any, adaptive: Any, t_ns: Any) -> Any:
-    """Propagate every shadow axis up to a time with the setpoints of its model; 0 when that is not possible.
+def propagate_shadows(params, adaptive, t_ns):
+    """Propagate every shadow axis up to a time with the setpoints of its model; whether that is possible.
 
     Parameters
     ----------
@@ -61,16 +56,16 @@ def propagate_shadows(params: Any, adaptive: Any, t_ns: Any) -> Any:
     from_ns, k = shadow.t_ns, oldest_period(controller)
     span = t_ns - from_ns
     if span <= 0:
-        return 0
+        return False
     shadow.t_ns = t_ns
     if controller.periods == 0:
-        return 1
+        return True
     if span > MAX_AXIS_GAP_NS:
         slot = period_at(controller, k, t_ns) & (N_PERIODS - 1)
         for i in range(N_MODELS):
             shadow.position_m[i] = shadow.setpoint_m[slot * MAX_MODELS + i]
             shadow.velocity_mps[i] = 0.0
-        return 1
+        return True
     steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
     dt = span * 1e-9 / steps
     tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
@@ -82,11 +77,11 @@ def propagate_shadows(params: Any, adaptive: Any, t_ns: Any) -> Any:
             shadow.position_m[i], shadow.velocity_mps[i] = step_axis(
                 tau, v_max, a_max, shadow.position_m[i], shadow.velocity_mps[i], target, dt
             )
-    return 1
+    return True
 
 
 @jit
-def update_effort(adaptive: Any) -> None:
+def update_effort(adaptive):
     """Update the effort with the setpoints of the period that has just been recorded."""
     shadow, controller = adaptive.shadow, adaptive.controller
     n = controller.periods
@@ -98,11 +93,11 @@ def update_effort(adaptive: Any) -> None:
                 shadow.setpoint_m[now + i] - 2.0 * shadow.setpoint_m[one + i] + shadow.setpoint_m[two + i]
             )
             shadow.effort[i] += EFFORT_RATE * (min(accel * accel, MAX_EFFORT) - shadow.effort[i])
-            shadow.log_effort[i] = math.log(shadow.effort[i] / EFFORT_UNIT + 1.0)
+            shadow.log_effort[i] = math.log(shadow.effort[i] + 1.0)  # in (1 m/s²)²
 
 
 @jit
-def record_setpoints(adaptive: Any) -> None:
+def record_setpoints(adaptive):
     """Record the newest setpoints of all models for the period that begins, and update the effort."""
     shadow = adaptive.shadow
     first = (adaptive.controller.periods & (N_PERIODS - 1)) * MAX_MODELS
@@ -112,7 +107,7 @@ def record_setpoints(adaptive: Any) -> None:
 
 
 @jit
-def reset_effort(shadow: Any) -> None:
+def reset_effort(shadow):
     """Set the mean squared acceleration of all setpoints to zero."""
     for i in range(N_MODELS):
         shadow.effort[i] = shadow.log_effort[i] = 0.0

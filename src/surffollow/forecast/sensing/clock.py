@@ -1,16 +1,13 @@
 """The follower's time: the latest timestamp of steps and poses."""
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit
 
+MAX_GAP_NS = 50_000_000  # longer without a sample or report: a drop-out; nothing is extrapolated over it
 CLOCK_JUMP_NS = 1_000_000_000  # late samples are never so late: it is another clock; at the reference time 1
 
 
 @jit
-def clock_jump_ns(scaled: Any) -> Any:
+def clock_jump_ns(scaled):
     """The same in nanoseconds of the inputs.
 
     Parameters
@@ -21,11 +18,11 @@ def clock_jump_ns(scaled: Any) -> Any:
 
 
 @jit
-def update_clock(clock: Any, t_ns: Any, pose_t_ns: Any) -> Any:
-    """Advance the time to the latest timestamp; 1 when the clock jumped back and is followed."""
+def update_clock(clock, t_ns, pose_t_ns):
+    """Advance the time to the latest timestamp; whether the clock jumped back, which is followed."""
     t = max(t_ns, pose_t_ns)
     jumped = t < clock.now_ns - CLOCK_JUMP_NS
     if jumped:
         clock.now_ns = t
     clock.now_ns = max(clock.now_ns, t)
-    return 1 if jumped else 0
+    return jumped

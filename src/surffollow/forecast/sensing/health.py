@@ -1,11 +1,11 @@
 """Health of the ranging: stuck-at detection, health states with hysteresis, latched faults."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
+from surffollow.forecast.attitude.beam_detection import REPEAT_BAND
 from surffollow.forecast.attitude.rotation_response import has_failed
+from surffollow.forecast.estimation.model_weights import BURN_IN_SAMPLES
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.shm.jit import jit
@@ -32,12 +32,11 @@ from surffollow.shm.layout_adaptive import (
     STUCK,
     SUSPECT,
 )
-from surffollow.shm.layout_adaptive_sensing import BEAMS, STUCK_COUNT
+from surffollow.shm.layout_adaptive_sensing import STUCK_COUNT
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
-DROPOUT_NS = 50_000_000  # no sample for so long beyond the usual delay …
-DROPOUT_INTERVALS = 2.5  # … or for so many usual intervals of a slow sensor …
+DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out …
 MAX_DROPOUT_S = 1.0  # … but no longer than this
 INTERVAL_READINGS = 8  # readings over which the usual interval of a channel's readings is averaged
 # a loss that began so near an end of the window, or as near as the next sample may be, is OUT_OF_RANGE
@@ -45,19 +44,17 @@ WINDOW_EDGE_M = 0.003
 STUCK_SAMPLES = 50  # equal samples …
 STUCK_S, STUCK_MIN_SAMPLES = 0.4, 8.0  # … or, of a slow sensor, for so long, and at least so many …
 STUCK_TRAVEL_M = 0.005  # … while the tool moves so far along z are a stuck-at fault
-STUCK_BAND = 0.25  # of the noise: samples so near the first of a run are alike; 1 of 7 by chance
 FLOOR_RATE = 0.001  # at which the least noise rises to the present one, per sample
 STUCK_MARGIN, STUCK_RATIO = 2.0, 4.0  # with a known sensor: this plus so many usual runs of equal samples …
 STUCK_MAX_SAMPLES = 200.0  # … but no more than this
 STUCK_RESET_RATIO = 4.0  # in repeat limits: then the estimate is discarded
 STUCK_MIN_TRAVEL_M = 0.002  # no less, or noise could hide the response
 REPEAT_RATE, REPEAT_BURN_IN_RATE = 0.02, 0.05  # at which the longest run fades
-REPEAT_BURN_IN_SAMPLES = 200  # scored samples that end the higher rate
 CLOSE_CONFIRMATION_SAMPLES = 3  # a single glitch is not the fold-back
 
 
 @jit
-def initial_repeat_limit(prediction: Any) -> Any:
+def initial_repeat_limit(prediction):
     """Equal samples in a row that are no fault while nothing is known of the sensor."""
     if prediction.interval_s <= 0.0:
         return 1.0 * STUCK_SAMPLES
@@ -65,7 +62,7 @@ def initial_repeat_limit(prediction: Any) -> Any:
 
 
 @jit
-def repeat_limit(adaptive: Any) -> Any:
+def repeat_limit(adaptive):
     """Equal samples in a row that are no fault: a multiple of the usual number, if that is known."""
     health = adaptive.health
     if health.usual_repeats == 0.0:
@@ -74,7 +71,7 @@ def repeat_limit(adaptive: Any) -> Any:
 
 
 @jit
-def update_usual_repeats(adaptive: Any, n: Any) -> None:
+def update_usual_repeats(adaptive, n):
     """Update the usual number of equal samples with the length of a run."""
     health = adaptive.health
     if health.usual_repeats == 0.0:
@@ -83,26 +80,22 @@ def update_usual_repeats(adaptive: Any, n: Any) -> None:
         health.usual_repeats = n
     else:
         health.usual_repeats += (
-            REPEAT_RATE if adaptive.weights.scored >= REPEAT_BURN_IN_SAMPLES else REPEAT_BURN_IN_RATE
+            REPEAT_RATE if adaptive.weights.scored >= BURN_IN_SAMPLES else REPEAT_BURN_IN_RATE
         ) * (n - health.usual_repeats)
 
 
 @jit
-def repeats_range(health: Any, range_m: Any) -> Any:
-    """1 when a range differs from the first one of the run by less than the sensor's noise allows."""
-    return (
-        1
-        if health.repeat_count > 0
-        and abs(range_m - health.repeat_range_m) <= STUCK_BAND * health.noise_floor_m
-        else 0
-    )
+def repeats_range(health, range_m):
+    """Whether a range differs from the first one of the run by less than the sensor's noise allows."""
+    near = abs(range_m - health.repeat_range_m) <= REPEAT_BAND * health.noise_floor_m
+    return health.repeat_count > 0 and near
 
 
 @jit
-def update_noise_floor(adaptive: Any) -> None:
+def update_noise_floor(adaptive):
     """Track the least noise of the readings: on rough ground they are noisier than the sensor."""
     health, sigma = adaptive.health, adaptive.noise.sigma_m
-    if adaptive.weights.scored < REPEAT_BURN_IN_SAMPLES:
+    if adaptive.weights.scored < BURN_IN_SAMPLES:
         health.noise_floor_m = 0.0
     elif health.noise_floor_m == 0.0:
         health.noise_floor_m = sigma
@@ -111,7 +104,7 @@ def update_noise_floor(adaptive: Any) -> None:
 
 
 @jit
-def update_stuck(adaptive: Any, repeated: Any, range_m: Any, tool_z_m: Any) -> None:
+def update_stuck(adaptive, repeated, range_m, tool_z_m):
     """Count like samples in a row; too many while the tool moved along z are a stuck-at fault.
 
     A live sensor responds to the motion, or shows its
@@ -122,13 +115,13 @@ def update_stuck(adaptive: Any, repeated: Any, range_m: Any, tool_z_m: Any) -> N
     Parameters
     ----------
     adaptive : record of `AdaptiveState` (`health` updated)
-    repeated : int      1: the sample is like the first of the run
+    repeated : bool     the sample is like the first of the run
     range_m : float64   range of the sample [m]
     tool_z_m : float64  height of the tool at the sample [m]
     """
     health = adaptive.health
-    if repeated == 0 or health.repeat_count == 0:
-        if health.repeat_count > 0 and is_stuck_permanently(adaptive) == 0:
+    if not repeated or health.repeat_count == 0:
+        if health.repeat_count > 0 and not is_stuck_permanently(adaptive):
             update_usual_repeats(adaptive, health.repeat_count & (STUCK_COUNT - 1))
         health.repeat_count = 1
         health.repeat_z_m, health.repeat_range_m = tool_z_m, range_m
@@ -144,47 +137,43 @@ def update_stuck(adaptive: Any, repeated: Any, range_m: Any, tool_z_m: Any) -> N
 
 
 @jit
-def is_stuck(health: Any) -> Any:
-    """1 while there is a stuck-at fault."""
-    return 1 if health.repeat_count >= STUCK_COUNT else 0
+def is_stuck(health):
+    """Whether there is a stuck-at fault."""
+    return health.repeat_count >= STUCK_COUNT
 
 
 @jit
-def is_stuck_permanently(adaptive: Any) -> Any:
-    """1 when a stuck-at fault has lasted for too many samples to be quantisation."""
-    return 1 if adaptive.health.repeat_count > STUCK_COUNT + STUCK_RESET_RATIO * repeat_limit(adaptive) else 0
+def is_stuck_permanently(adaptive):
+    """Whether a stuck-at fault has lasted for too many samples to be quantisation."""
+    return adaptive.health.repeat_count > STUCK_COUNT + STUCK_RESET_RATIO * repeat_limit(adaptive)
 
 
 @jit
-def dropout_tolerance_s(prediction: Any) -> Any:
+def dropout_tolerance_s(prediction):
     """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
     return min(DROPOUT_INTERVALS * prediction.interval_s, MAX_DROPOUT_S)
 
 
 @jit
-def is_dropout(adaptive: Any) -> Any:
+def is_dropout(adaptive):
     """Whether samples of channel 0 are missing."""
     return adaptive.clock.now_ns - adaptive.hold.t_ns > adaptive.latency.delay_s * 1e9 + max(
-        DROPOUT_NS, dropout_tolerance_s(adaptive.prediction) * 1e9
+        MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9
     )
 
 
 @jit
-def is_lost(params: Any, adaptive: Any) -> Any:
-    """1 when no sample entered a confirmed estimate within the loss time-out.
+def is_lost(params, adaptive):
+    """Whether no sample entered a confirmed estimate within the loss time-out.
 
     An estimate of a single sample is not confirmed.
     """
     estimate = adaptive.estimate
-    return (
-        1
-        if estimate.samples == 0 or adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
-        else 0
-    )
+    return estimate.samples == 0 or adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
 
 
 @jit
-def observe_channels(params: Any, health: Any, sense: Any, now_ns: Any) -> None:
+def observe_channels(params, health, sense, now_ns):
     """Note when each channel has a reading, and the usual interval of its readings."""
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
@@ -198,7 +187,7 @@ def observe_channels(params: Any, health: Any, sense: Any, now_ns: Any) -> None:
 
 
 @jit
-def silent_channels(params: Any, health: Any, now_ns: Any) -> Any:
+def silent_channels(params, health, now_ns):
     """Bit per channel of several that is without a reading as long as a drop-out is.
 
     The time is that of arrival: a wrong timestamp is no missing reading.
@@ -207,19 +196,19 @@ def silent_channels(params: Any, health: Any, now_ns: Any) -> Any:
     if params.n_channels > 1:
         for c in range(params.n_channels):
             tolerance_ns = min(DROPOUT_INTERVALS * health.interval_ns[c], MAX_DROPOUT_S * 1e9)
-            if now_ns - health.reading_ns[c] > max(DROPOUT_NS, tolerance_ns):
+            if now_ns - health.reading_ns[c] > max(MAX_GAP_NS, tolerance_ns):
                 silent |= 1 << c
     return silent
 
 
 @jit
-def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
+def update_health(params, adaptive, sense, stuck):
     """Determine health and reason, and publish them with hysteresis.
 
     Parameters
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState` (`health` updated), `SenseState`
-    stuck : int  1: the range does not respond to the tool's motion
+    stuck : bool  the range does not respond to the tool's motion
     """
     clock, hold, health, estimate = adaptive.clock, adaptive.hold, adaptive.health, adaptive.estimate
     observe_channels(params, health, sense, clock.now_ns)
@@ -227,7 +216,7 @@ def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
     candidate, reason = OK, REASON_NONE
     if health.faults & FAULT_NOT_FINITE and estimate.samples < STUCK_SAMPLES:
         candidate, reason = FAULT, REASON_NOT_FINITE
-    elif stuck != 0:
+    elif stuck:
         candidate, reason = STUCK, REASON_STUCK
     elif estimate.samples == 0 or is_dropout(adaptive):
         edge_m = min(hold.range_m - params.range_min_m, params.range_max_m - hold.range_m)
@@ -236,15 +225,15 @@ def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
             candidate, reason = OUT_OF_RANGE, REASON_OUTSIDE
         else:
             candidate, reason = DROPOUT, REASON_NO_READING
-    elif is_lost(params, adaptive) != 0:
+    elif is_lost(params, adaptive):
         candidate, reason = DROPOUT, REASON_LOST
     elif adaptive.hold.shift_ns > 0:
         candidate, reason = SUSPECT, REASON_TIMESTAMPS
-    elif has_jumped(adaptive.kinematics, clock.now_ns) != 0:
+    elif has_jumped(adaptive.kinematics, clock.now_ns):
         candidate, reason = SUSPECT, REASON_POSE_JUMP
     elif adaptive.beams.inconsistent != 0:
         candidate, reason = SUSPECT, REASON_SENSORS
-    elif has_failed(adaptive.rotation) != 0:
+    elif has_failed(adaptive.rotation):
         candidate, reason = SUSPECT, REASON_ROTATION
     elif silent != 0:
         candidate, reason = SUSPECT, REASON_SILENT
@@ -263,34 +252,20 @@ def update_health(params: Any, adaptive: Any, sense: Any, stuck: Any) -> None:
         health.candidate = candidate
         health.since_ns = clock.now_ns
     wait = ENTER_NS if candidate > health.state else LEAVE_NS
-    if health.state < DROPOUT and is_lost(params, adaptive) != 0:
+    if health.state < DROPOUT and is_lost(params, adaptive):
         wait = 0  # there is no demand: the reason is published at once
     if clock.now_ns - health.since_ns >= wait:
         health.state, health.reason = candidate, reason
 
 
 @jit
-def count_close(health: Any, close: Any) -> Any:
-    """Count samples in a row near the fold-back; 1 when they are enough to confirm it."""
+def count_close(health, close):
+    """Count samples in a row near the fold-back; whether they are enough to confirm it."""
     health.close_count = health.close_count + 1 if close else 0
-    return 1 if health.close_count >= CLOSE_CONFIRMATION_SAMPLES else 0
+    return health.close_count >= CLOSE_CONFIRMATION_SAMPLES
 
 
 @jit
-def latch_fault(health: Any, fault: Any) -> None:
+def latch_fault(health, fault):
     """Latch a fault bit."""
     health.faults |= fault
-
-
-@jit
-def clear_faults(health: Any) -> None:
-    """Clear all latched faults."""
-    health.faults = 0
-
-
-@jit
-def reset_health_times(health: Any, now_ns: Any) -> None:
-    """Count hysteresis and missing readings from now on: the clock jumped."""
-    health.since_ns = now_ns
-    for c in range(BEAMS):
-        health.reading_ns[c] = min(health.reading_ns[c], now_ns)

@@ -1,25 +1,22 @@
 """Velocity of the tool and its pose at a given time."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.pose import pose_at
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
-SPEED_WINDOW_NS = 100_000_000  # over which the lateral velocity is taken: noise of the reports averages out
+# over which the lateral velocity is taken: noise averages out; reports farther apart show no jump
+SPEED_WINDOW_NS = 100_000_000
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MAX_POSE_GAP_NS = 1_000_000_000  # a report older than the newest by this belongs to another motion
-MAX_EXTRAPOLATION_NS = 50_000_000  # a pose is extrapolated by its velocity no farther
-MAX_JUMP_M = 0.02  # distance between two reports beyond the velocity: more is a jump of the frame …
-MAX_JUMP_INTERVAL_NS = 100_000_000  # … when they are not farther apart in time
+MAX_JUMP_M = 0.02  # distance between two reports beyond the velocity: more is a jump of the frame
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
 
 @jit
-def oldest_pose_within(sense: Any, window_ns: Any, first_pose: Any) -> Any:
+def oldest_pose_within(sense, window_ns, first_pose):
     """Slot of the newest pose report that is at least `window_ns` older than the newest one.
 
     Reports from before a long gap, or before the report `first_pose`, do not count; the newest one may be
@@ -36,8 +33,8 @@ def oldest_pose_within(sense: Any, window_ns: Any, first_pose: Any) -> Any:
 
 
 @jit
-def note_jump(params: Any, kinematics: Any, sense: Any) -> Any:
-    """Note a jump of the reported position, no report of which continues; 1 when there is one.
+def note_jump(params, kinematics, sense):
+    """Note a jump of the reported position, no report of which continues; whether there is one.
 
     A lateral jump disagrees with the velocity and with the way between the two reports before: a change of
     speed agrees with the latter from its second report on. A vertical jump disagrees with the velocity by
@@ -46,8 +43,8 @@ def note_jump(params: Any, kinematics: Any, sense: Any) -> Any:
     n = sense.pose_count
     last, previous = (n - 1) & (POSES - 1), (n - 2) & (POSES - 1)
     span_ns = sense.pose_t_ns[last] - sense.pose_t_ns[previous]
-    if not 0 < span_ns <= MAX_JUMP_INTERVAL_NS:
-        return 0
+    if not 0 < span_ns <= SPEED_WINDOW_NS:
+        return False
     dt = span_ns * 1e-9
     way_x = sense.pose[7 * last] - sense.pose[7 * previous]
     way_y = sense.pose[7 * last + 1] - sense.pose[7 * previous + 1]
@@ -55,7 +52,7 @@ def note_jump(params: Any, kinematics: Any, sense: Any) -> Any:
     square = dx * dx + dy * dy
     before = (n - 3) & (POSES - 1)
     span_before_ns = sense.pose_t_ns[previous] - sense.pose_t_ns[before] if n > 2 else 0
-    if 0 < span_before_ns <= MAX_JUMP_INTERVAL_NS:
+    if 0 < span_before_ns <= SPEED_WINDOW_NS:
         ratio = span_ns / span_before_ns
         dx = way_x - ratio * (sense.pose[7 * previous] - sense.pose[7 * before])
         dy = way_y - ratio * (sense.pose[7 * previous + 1] - sense.pose[7 * before + 1])
@@ -63,25 +60,25 @@ def note_jump(params: Any, kinematics: Any, sense: Any) -> Any:
     dz = sense.pose[7 * last + 2] - sense.pose[7 * previous + 2] - kinematics.climb_mps * dt
     climbed = abs(dz) > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * dt)
     if not climbed and square <= MAX_JUMP_M * MAX_JUMP_M:
-        return 0
+        return False
     kinematics.jump_pose, kinematics.jump_ns = n - 1, sense.pose_t_ns[last]
     if climbed:
         kinematics.climb_jump_pose = kinematics.jump_pose
-    return 1
+    return True
 
 
 @jit
-def has_jumped(kinematics: Any, now_ns: Any) -> Any:
-    """1 for a second after a jump of the reported position."""
-    return 1 if kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < MAX_POSE_GAP_NS else 0
+def has_jumped(kinematics, now_ns):
+    """Whether the reported position has jumped within the last second."""
+    return kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < MAX_POSE_GAP_NS
 
 
 @jit
-def update_kinematics(params: Any, kinematics: Any, sense: Any) -> Any:
-    """Lateral and vertical velocity of the tool from its reports, 0 with one; returns 1 after a new jump."""
+def update_kinematics(params, kinematics, sense):
+    """Lateral and vertical velocity of the tool from its reports, 0 with one; returns whether it jumped."""
     if kinematics.pose_count == sense.pose_count:
-        return 0
-    jumped = note_jump(params, kinematics, sense) if kinematics.pose_count > 0 else 0
+        return False
+    jumped = kinematics.pose_count > 0 and note_jump(params, kinematics, sense)
     kinematics.pose_count = sense.pose_count
     last, jump = (sense.pose_count - 1) & (POSES - 1), kinematics.jump_pose
     first = oldest_pose_within(sense, SPEED_WINDOW_NS, jump)
@@ -101,7 +98,13 @@ def update_kinematics(params: Any, kinematics: Any, sense: Any) -> Any:
 
 
 @jit
-def predict_pose(kinematics: Any, sense: Any, t_ns: Any, pose: Any) -> None:
+def distance_along(kinematics, x_m, y_m):
+    """Component of a horizontal vector along the direction of travel [m]; the tool must move."""
+    return (x_m * kinematics.velocity_x_mps + y_m * kinematics.velocity_y_mps) / kinematics.speed_mps
+
+
+@jit
+def predict_pose(kinematics, sense, t_ns, pose):
     """Pose of the tool at a time into `pose`; after the newest report it is extrapolated.
 
     Parameters
@@ -113,7 +116,7 @@ def predict_pose(kinematics: Any, sense: Any, t_ns: Any, pose: Any) -> None:
     pose_at(sense, t_ns, 1, pose)
     late = t_ns - sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
     if late > 0:
-        dt = min(late, MAX_EXTRAPOLATION_NS) * 1e-9
+        dt = min(late, MAX_GAP_NS) * 1e-9
         pose[0] += kinematics.velocity_x_mps * dt
         pose[1] += kinematics.velocity_y_mps * dt
         pose[2] += kinematics.climb_mps * dt

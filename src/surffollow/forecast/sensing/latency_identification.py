@@ -6,10 +6,7 @@ end of the rest the result enters the correction, weighted by its variance. Moti
 used: there climb rate and terrain are correlated.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.pose import pose_at
 from surffollow.shm.jit import jit
@@ -23,13 +20,13 @@ OUTLIER_GATE_M = 8e-3  # heights so far from the mean are glitches
 MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
 RESIDUAL_LIMIT_M = 0.5e-3  # left by the regression, beyond the noise: the ground was not one spot
 DRIFT_S = 1e-3  # standard deviation of the latency's drift between two rests
-DELAY_RATE = 0.05  # of the usual delay, per sample
+USUAL_VALUE_RATE = 0.05  # of the usual delay, lead and spacing, per sample
 LEAST_DELAY_RATE = 2e-4  # at which the least delay grows, per sample: clocks drift by 100 ppm
 LATE_TAUS = 2.0  # usual beyond least delay: ground seen so late is behind the tool, and the axis moved since
 
 
 @jit
-def reset_window(latency: Any) -> None:
+def reset_window(latency):
     """Begin a new rest."""
     latency.count = 0
     latency.mean_climb_mps = latency.mean_height_m = latency.climb_climb = latency.climb_height = (
@@ -38,51 +35,50 @@ def reset_window(latency: Any) -> None:
 
 
 @jit
-def reset_latency(latency: Any) -> None:
-    """Discard the correction."""
-    latency.correction_s = latency.sigma_s = 0.0
-    reset_window(latency)
-
-
-@jit
-def update_delay(latency: Any, delay_s: Any) -> None:
+def update_delay(latency, delay_s):
     """Update the usual and the least delay with that of a sample [s]."""
-    latency.delay_s += DELAY_RATE * (delay_s - latency.delay_s)
+    latency.delay_s += USUAL_VALUE_RATE * (delay_s - latency.delay_s)
     if latency.least_s == 0.0 or delay_s < latency.least_s:
         latency.least_s = delay_s
     latency.least_s += LEAST_DELAY_RATE * (delay_s - latency.least_s)
 
 
 @jit
-def is_late(adaptive: Any) -> Any:
+def is_late(adaptive):
     """Whether samples arrive later than they did: the delay grows, or the timestamps fall behind."""
     latency = adaptive.latency
     return latency.delay_s - latency.least_s > LATE_TAUS * adaptive.plant.tau_s
 
 
 @jit
-def reset_delay(latency: Any) -> None:
+def reset_delay(latency):
     """Discard the usual delay."""
     latency.delay_s = latency.least_s = 0.0
 
 
 @jit
-def check_configured_latency(params: Any, latency: Any) -> Any:
-    """Discard the correction when another latency is configured; 1 then: timestamps go back or on."""
-    if latency.configured_ns == params.sensor_latency_ns:
-        return 0
-    latency.configured_ns = params.sensor_latency_ns
+def discard_correction(latency):
+    """Discard the correction and begin a new rest."""
     latency.correction_s = latency.sigma_s = 0.0
     reset_window(latency)
-    return 1
 
 
 @jit
-def update_correction(adaptive: Any, adapt: Any) -> None:
+def check_configured_latency(params, latency):
+    """Discard the correction when another latency is configured; whether it is: timestamps go back or on."""
+    if latency.configured_ns == params.sensor_latency_ns:
+        return False
+    latency.configured_ns = params.sensor_latency_ns
+    discard_correction(latency)
+    return True
+
+
+@jit
+def update_correction(adaptive, adapt):
     """Let the regression of a rest enter the correction, and begin a new rest."""
     latency = adaptive.latency
     n = latency.count
-    if adapt != 0 and n >= MIN_SAMPLES and latency.climb_climb > n * MIN_CLIMB_RMS_MPS * MIN_CLIMB_RMS_MPS:
+    if adapt and n >= MIN_SAMPLES and latency.climb_climb > n * MIN_CLIMB_RMS_MPS * MIN_CLIMB_RMS_MPS:
         delta = latency.climb_height / latency.climb_climb
         residual = math.sqrt(max(latency.height_height - delta * latency.climb_height, 0.0) / n)
         noise = max(adaptive.noise.sigma_m, 1e-4)
@@ -98,9 +94,7 @@ def update_correction(adaptive: Any, adapt: Any) -> None:
 
 
 @jit
-def observe_height(
-    adaptive: Any, sense: Any, t_ns: Any, h_m: Any, at_rest: Any, adapt: Any, pose: Any
-) -> None:
+def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     """Enter a sample's height into the regression.
 
     Parameters
@@ -108,12 +102,12 @@ def observe_height(
     adaptive, sense : records of `AdaptiveState` (updated), `SenseState`
     t_ns : int64         timestamp minus the correction
     h_m : float64        height of the footprint with the pose at that time [m]
-    at_rest : int        1: the tool rests laterally
-    adapt : int          0: the correction stays
+    at_rest : bool       the tool rests laterally
+    adapt : bool         False: the correction stays
     pose : (7,) float64  scratch
     """
     latency = adaptive.latency
-    if at_rest == 0:
+    if not at_rest:
         if latency.count > 0:
             update_correction(adaptive, adapt)
         return

@@ -4,10 +4,7 @@ A damped trend (Gardner and McKenzie, 1985) for uneven intervals: level l and tr
 time constant d. The forecast of a horizon h is l + b · d · (1 − exp(−h/d)).
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.shm.jit import jit
 
@@ -22,19 +19,19 @@ GAP_INTERVALS = 5.0  # usual intervals, or seconds if that is more: begin at the
 
 
 @jit
-def time_unit_s(prediction: Any) -> Any:
+def time_unit_s(prediction):
     """Unit of the time constants [s]."""
     return max(prediction.interval_s, MIN_UNIT_S)
 
 
 @jit
-def damped_time(horizon_s: Any, decay_s: Any) -> Any:
+def damped_time(horizon_s, decay_s):
     """Integral of a damped unit rate over a horizon [s]."""
     return decay_s * (1.0 - math.exp(-horizon_s / decay_s))
 
 
 @jit
-def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
+def update_prediction(prediction, t_ns, range_m):
     """Update level, trend and interval with a range; a single outlier is rejected, a second one is a jump."""
     dt = (t_ns - prediction.t_ns) * 1e-9
     if prediction.t_ns == 0 or dt <= 0.0 or dt > GAP_INTERVALS * max(prediction.interval_s, 1.0):
@@ -65,14 +62,8 @@ def update_prediction(prediction: Any, t_ns: Any, range_m: Any) -> None:
 
 
 @jit
-def predict_range(prediction: Any, horizon_s: Any) -> Any:
+def predict_range(prediction, horizon_s):
     """Range at a horizon after the newest one [m]; NaN before the first."""
     if prediction.t_ns == 0:
         return math.nan
     return prediction.level_m + prediction.trend_mps * damped_time(horizon_s, DECAY * time_unit_s(prediction))
-
-
-@jit
-def reset_prediction_time(prediction: Any) -> None:
-    """Begin at the next range: the clock jumped."""
-    prediction.t_ns = 0

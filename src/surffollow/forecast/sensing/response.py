@@ -10,40 +10,33 @@ In a longer descent the setpoint is shifted up by a little more than the noise h
 the shift ends the run; without that, or after a descent by half the stand-off, a hold follows.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_RUN
 
-DESCENT_BANDS = 4.0  # shorter descents hide in the noise
-ERROR_DESCENT = 0.36  # of a band times the stand-off: error times descent; a small one needs a long one
+MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
+ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
-SHIFT_ERROR_DESCENT = 0.06  # error times descent as above from which a fast sensor is tested by a shift
+SHIFT_ERROR_MOTION = 0.06  # error times descent as above from which a fast sensor is tested by a shift
 SHIFT_DESCENT = 0.3  # of the stand-off: beyond, the setpoint is shifted up …
 SHIFT_BANDS = 2.0  # … by so many bands; an answer spares the hold
-SHIFT_TAUS, SHIFT_MEANS = 2.0, 2.0  # time for an answer: of the axis and of the mean
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
 QUIET_SHARE = 0.5  # of the usual noise
 NOISE_RATE, USUAL_RATE = 0.03, 0.003  # of the noise and of the usual noise, per sample
 SECOND_DIFFERENCE = 1.954  # mean absolute second difference of white Gaussian noise, in standard deviations
-MIN_RUN_MEANS, MIN_LONG_MEANS = 2.0, 4.0  # independent means in a run before a test; without a suspicion
+MIN_MEANS, MIN_LONG_MEANS = 2.0, 4.0  # independent means in an answer or a run; in a run without a suspicion
 RUN_SAMPLES = 64  # in the mean of a run
-MEAN_TAUS, MIN_MEAN, MAX_MEAN = 1.0, 2.0, 8.0  # samples in the mean range: those of a time constant
+MIN_MEAN, MAX_MEAN = 2.0, 8.0  # samples in the mean range: those of a time constant
 BAND_SIGMAS = 3.0  # of the mean: the range has changed …
 TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
 OUTLIER_SIGMAS = 3.0  # one sample moves the mean by no more
-HOLD_BANDS = 4.0  # change of the range that ends the hold, in bands
-LIFT_BANDS = 4.0  # height of the lift, in bands
-STOP_TAUS = 2.0  # until the tool has stopped
+STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift
 MAX_PHASE_TAUS = 50.0  # after which a tool that does not do as it is asked ends the test
 
 
 @jit
-def _begin_run(response: Any, t_ns: Any, tool_z_m: Any) -> None:
+def _begin_run(response, t_ns, tool_z_m):
     """Begin a run of constant ranges at the present mean."""
     response.phase, response.count = RESPONSE_RUN, 0
     response.run_range_m, response.run_z_m, response.run_ns = response.mean_m, tool_z_m, t_ns
@@ -52,7 +45,7 @@ def _begin_run(response: Any, t_ns: Any, tool_z_m: Any) -> None:
 
 
 @jit
-def _observe_noise(response: Any, range_m: Any) -> None:
+def _observe_noise(response, range_m):
     """Update the noise and the usual noise of the ranges; noise far below the usual one is not learned."""
     second = abs(range_m - 2.0 * response.recent_m[0] + response.recent_m[1]) / SECOND_DIFFERENCE
     response.recent_m[1] = response.recent_m[0]
@@ -69,7 +62,20 @@ def _observe_noise(response: Any, range_m: Any) -> None:
 
 
 @jit
-def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z_m: Any, gap_s: Any) -> None:
+def is_suspicious(error, motion, rate, band, tau_s, reach):
+    """Whether an error that does not change is too great for a lag, and for the motion of the run.
+
+    Parameters
+    ----------
+    error, motion, rate, band : float64  error, motion of the tool and its rate, band of the noise [m or rad]
+    tau_s : float64                      time constant of the axis [s]
+    reach : float64                      motion that the surface leaves to the tool [m or rad]
+    """
+    return error > max(band, LAG_TAUS * tau_s * rate) and error * motion > ERROR_MOTION * band * reach
+
+
+@jit
+def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     """Update the test with a sample of channel 0.
 
     Parameters
@@ -91,7 +97,7 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
     greatest = max(range_m, response.recent_m[0], response.recent_m[1]) - response.mean_m
     _observe_noise(response, range_m)
     interval = max(adaptive.prediction.interval_s, 1e-6)
-    number = min(max(MEAN_TAUS * tau / interval, MIN_MEAN), MAX_MEAN)
+    number = min(max(tau / interval, MIN_MEAN), MAX_MEAN)
     outlier = OUTLIER_SIGMAS * sigma
     moved = least > outlier or greatest < -outlier  # three in a row are no outliers
     if moved and number >= MAX_MEAN and response.samples > 3:  # those of a slow sensor are far apart
@@ -118,47 +124,44 @@ def observe_response(params: Any, adaptive: Any, t_ns: Any, range_m: Any, tool_z
         error = (
             abs(response.run_range_m - params.offset_m) if abs(adaptive.sample.lead_m) < MIN_LEAD_M else 0.0
         )
-        wrong = (
-            error > max(band, LAG_TAUS * tau * rate)
-            and error * descent > ERROR_DESCENT * band * params.offset_m
-        )
+        wrong = is_suspicious(error, descent, rate, band, tau, params.offset_m)
         long = response.run_samples > MIN_LONG_MEANS * number
         far = long and descent > FAR_DESCENT * params.offset_m
         doubtful = (  # with fewer samples in τ the ground changes while the answer is awaited
             number >= MAX_MEAN
-            and descent > DESCENT_BANDS * band
+            and descent > MOTION_BANDS * band
             and error > LAG_TAUS * tau * rate
-            and error * descent > SHIFT_ERROR_DESCENT * band * params.offset_m
+            and error * descent > SHIFT_ERROR_MOTION * band * params.offset_m
         )
         if long and response.lift_m == 0.0 and (doubtful or descent > SHIFT_DESCENT * params.offset_m):
             response.lift_m, response.test_ns, since_s = SHIFT_BANDS * band, t_ns, 0.0
-        late = response.lift_m > 0.0 and since_s > SHIFT_TAUS * tau + SHIFT_MEANS * number * interval
-        suspicious = (wrong or not noisy) and descent > DESCENT_BANDS * band
-        if far or late or (suspicious and response.run_samples > MIN_RUN_MEANS * number):
+        late = response.lift_m > 0.0 and since_s > STOP_TAUS * tau + MIN_MEANS * number * interval
+        suspicious = (wrong or not noisy) and descent > MOTION_BANDS * band
+        if far or late or (suspicious and response.run_samples > MIN_MEANS * number):
             response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
             response.rate_mps, response.quiet = rate, 0 if noisy else 1
     elif response.phase == RESPONSE_HOLD:
         missing = response.rate_mps * (since_s - STOP_TAUS * tau)
-        if missing > HOLD_BANDS * band or since_s > MAX_PHASE_TAUS * tau:
+        if missing > MOTION_BANDS * band or since_s > MAX_PHASE_TAUS * tau:
             response.phase, response.test_ns, response.test_z_m = RESPONSE_LIFT, t_ns, tool_z_m
-            response.lift_m, response.count = LIFT_BANDS * band, 0
+            response.lift_m, response.count = MOTION_BANDS * band, 0
     elif response.phase == RESPONSE_LIFT:
         if tool_z_m - response.test_z_m > 0.5 * response.lift_m:
             response.count += 1
-            if response.count > 2.0 * number:
+            if response.count > MIN_MEANS * number:
                 response.phase = RESPONSE_FAILED
         elif since_s > MAX_PHASE_TAUS * tau:
             _begin_run(response, t_ns, tool_z_m)
 
 
 @jit
-def is_unresponsive(response: Any) -> Any:
-    """1 after a test that the range did not follow, until it changes."""
-    return 1 if response.phase == RESPONSE_FAILED else 0
+def is_unresponsive(response):
+    """Whether the range did not follow a test, and has not changed since."""
+    return response.phase == RESPONSE_FAILED
 
 
 @jit
-def raised_target(response: Any, target_m: Any) -> Any:
+def raised_target(response, target_m):
     """Setpoint target, raised by the response test in progress [m]."""
     if response.phase == RESPONSE_RUN:
         return target_m + response.lift_m
@@ -170,7 +173,7 @@ def raised_target(response: Any, target_m: Any) -> Any:
 
 
 @jit
-def reset_response(response: Any) -> None:
+def reset_response(response):
     """Begin anew with the next sample."""
     response.t_ns = response.samples = 0
     response.phase = RESPONSE_RUN

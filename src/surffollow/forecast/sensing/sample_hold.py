@@ -3,10 +3,6 @@
 A sensor holds each value for a while, and the converter reads it many times.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
@@ -15,7 +11,7 @@ BACKWARD_SAMPLES = 3  # timestamps in a row before that of the newest sample: th
 
 
 @jit
-def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channel: Any, orients: Any) -> Any:
+def new_sample(params, adaptive, sense, ranges_given, channel, orients):
     """Whether a channel has a new sample, its range and timestamp.
 
     Conversions of a held value are one sample with the timestamp of the first of them. An unchanged value is
@@ -26,21 +22,21 @@ def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channe
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
     ranges_given : int  > 0: ranges are given to the step, no conversions
     channel : int
-    orients : int       1: three or more sensors, and the tool is rotated to the surface normal
+    orients : bool      three or more sensors, and the tool is rotated to the surface normal
 
     Returns
     -------
-    int64, float64 [m], int64 [ns]
+    bool, float64 [m], int64 [ns]
     """
     hold, n = adaptive.hold, sense.window_n[channel]
     hold_ns = params.hold_ns
     if ranges_given != 0:
         if sense.fresh[channel] == 0:
-            return 0, 0.0, 0
+            return False, 0.0, 0
         value, t, flicker = sense.range_m[channel], sense.range_t_ns[channel], 0.0
     else:
         if n == 0:
-            return 0, 0.0, 0
+            return False, 0.0, 0
         base = channel * CONVERSION_WINDOW
         newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
         value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
@@ -49,17 +45,17 @@ def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channe
         t += hold_ns // 2
         begun_ns = params.sensor_latency_ns - hold_ns // 2
         hold_ns += hold_ns // 2  # the begin of a held value is known to within a cycle
-    if orients == 0 and sense.fresh[channel] != 0:
+    if not orients and sense.fresh[channel] != 0:
         observe_timestamp(adaptive, t)
     if sense.fresh[channel] != 0:
         t += hold.shift_ns
     if hold.t_ns != 0:
         if t <= hold.t_ns:
-            return 0, 0.0, 0
+            return False, 0.0, 0
         if abs(value - hold.range_m) <= flicker:
             if t - hold.t_ns < hold_ns:
-                return 0, 0.0, 0
-            return 1, value, t
+                return False, 0.0, 0
+            return True, value, t
     if ranges_given == 0:
         k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
         while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
@@ -68,11 +64,11 @@ def new_sample(params: Any, adaptive: Any, sense: Any, ranges_given: Any, channe
                 break
             t = earlier
             k -= 1
-    return 1, value, t
+    return True, value, t
 
 
 @jit
-def observe_timestamp(adaptive: Any, t_ns: Any) -> None:
+def observe_timestamp(adaptive, t_ns):
     """Update the correction of timestamps that went back, with a fresh sample.
 
     Late samples arrive in order. Several in a row whose timestamps lie before that of the newest sample have
@@ -92,12 +88,12 @@ def observe_timestamp(adaptive: Any, t_ns: Any) -> None:
 
 
 @jit
-def record_sample(hold: Any, t_ns: Any, range_m: Any) -> None:
+def record_sample(hold, t_ns, range_m):
     """Hold the newest sample."""
     hold.t_ns, hold.range_m = t_ns, range_m
 
 
 @jit
-def reset_hold(hold: Any) -> None:
+def reset_hold(hold):
     """Accept a sample of any time as new."""
     hold.t_ns = hold.backward = hold.shift_ns = 0

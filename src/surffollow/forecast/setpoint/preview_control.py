@@ -11,15 +11,11 @@ Descending before a step down is penalised: ½ W (b − z)² where z is below b,
 factorised again.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.forecast.plant.axis_model import PERIOD_S, invert_axis
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
-ITERATIONS, EARLY_ITERATIONS = 25, 50  # more of them with early points
+ITERATIONS = 25  # twice as many with early points
 ADMM_PENALTY = (
     60.0  # converges in the fixed number of iterations (compared with a general solver in the tests)
 )
@@ -33,7 +29,7 @@ EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # periods beyond the known 
 
 
 @jit
-def point_weight(k: Any, known: Any) -> Any:
+def point_weight(k, known):
     """Weight of point k of the plan, which is k + 1 periods from now."""
     if k + 1 < known:
         return 1.0
@@ -41,7 +37,7 @@ def point_weight(k: Any, known: Any) -> Any:
 
 
 @jit
-def mark_early(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> Any:
+def mark_early(adaptive, known, standoff_m, z_m):
     """Mark in `plan.early` the points that descend before the ground does; returns how many changed.
 
     An early point is below the lowest desired height until then by more than `EARLY_M`, and below the axis'
@@ -68,7 +64,7 @@ def mark_early(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> Any:
 
 
 @jit
-def update_foreseen_error(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) -> None:
+def update_foreseen_error(adaptive, known, standoff_m, z_m):
     """Update the greatest stand-off error that plans contain, at a step for instance.
 
     Parameters
@@ -88,7 +84,7 @@ def update_foreseen_error(adaptive: Any, known: Any, standoff_m: Any, z_m: Any) 
 
 
 @jit
-def factorise(plan: Any, known: Any, stiffness: Any) -> None:
+def factorise(plan, known, stiffness):
     """LDLᵀ of W + stiffness·DᵀD, for second differences D that begin with two known points."""
     n = HORIZON
     for k in range(n):
@@ -110,7 +106,7 @@ def factorise(plan: Any, known: Any, stiffness: Any) -> None:
 
 
 @jit
-def solve(plan: Any) -> None:
+def solve(plan):
     """Solve with those factors, in place, for `plan.position_m`."""
     n = HORIZON
     z = plan.position_m
@@ -128,7 +124,7 @@ def solve(plan: Any) -> None:
 
 
 @jit
-def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, standoff_m: Any) -> Any:
+def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     """Solve the plan; returns the velocity that the axis should have one period from now.
 
     Parameters
@@ -156,7 +152,7 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, sta
         plan.multiplier_m[k] = plan.multiplier_m[k + 1]
     plan.acceleration_m[n - 1] = plan.multiplier_m[n - 1] = 0.0
     rounds = ITERATIONS
-    for i in range(EARLY_ITERATIONS):
+    for i in range(2 * ITERATIONS):
         if i >= rounds:
             break
         for k in range(n):
@@ -178,7 +174,7 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, sta
         solve(plan)
         if mark_early(adaptive, known, standoff_m, z_m) > 0:
             factorise(plan, known, stiffness)
-            rounds = EARLY_ITERATIONS
+            rounds = 2 * ITERATIONS
         z2, z1 = before, 0.0
         for k in range(n):
             b = plan.position_m[k] - 2.0 * z1 + z2
@@ -192,7 +188,7 @@ def solve_plan(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, sta
 
 
 @jit
-def plan_setpoint(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, standoff_m: Any) -> None:
+def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     """Solve the plan and invert the axis model: setpoint of the coming period.
 
     Parameters
@@ -204,11 +200,3 @@ def plan_setpoint(params: Any, adaptive: Any, known: Any, z_m: Any, v_mps: Any, 
     """
     speed = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
     adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)
-
-
-@jit
-def reset_plan(plan: Any) -> None:
-    """Discard setpoint and warm start."""
-    plan.setpoint_m = 0.0
-    for k in range(HORIZON):
-        plan.acceleration_m[k] = plan.multiplier_m[k] = 0.0

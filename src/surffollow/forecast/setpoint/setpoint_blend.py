@@ -1,9 +1,6 @@
 """Blend the models' setpoints by weight and filter the blend with a deadband."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
@@ -15,6 +12,7 @@ from surffollow.forecast.plant.controller_clock import begin_period
 from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.measurement import has_turned_back
+from surffollow.forecast.setpoint.setpoint_limits import PAUSE_S
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit
 
@@ -23,14 +21,13 @@ UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer i
 RATE_STEP_S = 0.005  # over which the rate of the blended setpoint is taken
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5  # in deadbands
-FILTER_GAP_S = 0.1  # after a longer pause the filter begins at the blend
 SLOPE_LIMIT = 0.2  # slope that is never clamped …
 SLOPE_LIMIT_RMS = 3.0  # … or multiples of the RMS slope of the last metre …
 HEIGHT_MARGIN_M = 1e-3  # … plus this
 
 
 @jit
-def dropout_s(adaptive: Any) -> Any:
+def dropout_s(adaptive):
     """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
     return (
         (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9
@@ -40,7 +37,7 @@ def dropout_s(adaptive: Any) -> Any:
 
 
 @jit
-def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, standoff_m: Any) -> Any:
+def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """Setpoints of all models at `ahead_m` beyond the newest footprint; returns their blend [m].
 
     A model adds its slope times `lead_m`. The change of height is clamped to `max_slope` of the
@@ -73,7 +70,7 @@ def compute_setpoints(adaptive: Any, ahead_m: Any, lead_m: Any, max_slope: Any, 
 
 
 @jit
-def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, standoff_m: Any, due: Any) -> Any:
+def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     """Blend the models' setpoints; when a controller period is due, record each of them.
 
     The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
@@ -88,7 +85,7 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     pose_ns : int64       timestamp of the newest pose
     ahead_m : float64     distance beyond the newest footprint [m]; a sensor that leads counts as 0
     standoff_m : float64  desired height of the tool above the ground [m]
-    due : int             1: a controller period begins
+    due : bool            a controller period begins
 
     Returns
     -------
@@ -98,7 +95,7 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
     estimate, blend = adaptive.estimate, adaptive.blend
     dropout = dropout_s(adaptive)
     turned = has_turned_back(adaptive)
-    ahead_m = ahead_m if turned != 0 else max(ahead_m - uncompared_m(adaptive), 0.0)
+    ahead_m = ahead_m if turned else max(ahead_m - uncompared_m(adaptive), 0.0)
     lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(kinematics.speed_mps * dropout, max(ahead_m, 0.0))
@@ -106,7 +103,7 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
         ahead_m += params.dropout_travel_m * (1.0 - decay) - dropout_m
         lead_length_m *= decay
     step_m = kinematics.speed_mps * RATE_STEP_S
-    if turned != 0:  # lengths along the way of the newest sample
+    if turned:  # lengths along the way of the newest sample
         ahead_m, lead_length_m, step_m = -ahead_m, -lead_length_m, -step_m
     max_slope = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
     later = compute_setpoints(adaptive, ahead_m + step_m, lead_length_m, max_slope, standoff_m)
@@ -131,7 +128,7 @@ def blend_setpoints(params: Any, adaptive: Any, pose_ns: Any, ahead_m: Any, stan
 
 
 @jit
-def filter_setpoint(params: Any, adaptive: Any, target_m: Any) -> Any:
+def filter_setpoint(params, adaptive, target_m):
     """Filter the blend: it continues at the predicted rate while it is within the deadband.
 
     Beyond the deadband b the excess x decays by dx/dt = −x² / (DEADBAND_SOFTNESS · b · DEADBAND_DECAY_S). The
@@ -142,7 +139,7 @@ def filter_setpoint(params: Any, adaptive: Any, target_m: Any) -> Any:
     if dt == 0.0:
         return blend.filtered_m
     blend.filtered_ns = clock.now_ns
-    if not 0.0 < dt < FILTER_GAP_S:
+    if not 0.0 < dt < PAUSE_S:
         blend.filtered_m = target_m
         return target_m
     blend.filtered_m += blend.rate_mps * dt
@@ -153,15 +150,3 @@ def filter_setpoint(params: Any, adaptive: Any, target_m: Any) -> Any:
         remaining = adaptation.deadband_m + excess * softness / (softness + excess * dt / DEADBAND_DECAY_S)
         blend.filtered_m = target_m - math.copysign(remaining, e)
     return blend.filtered_m
-
-
-@jit
-def reset_blend(blend: Any) -> None:
-    """Discard blend and filter."""
-    blend.filtered_m = blend.setpoint_m = blend.rate_mps = 0.0
-
-
-@jit
-def reset_blend_times(blend: Any) -> None:
-    """Blend and filter anew in the next cycle: the clock jumped."""
-    blend.filtered_ns = blend.t_ns = 0

@@ -7,14 +7,11 @@ multiplied by `toward_factor` until the setpoint has arrived for the first time,
 ground, which may be a slot.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.shm.jit import jit
 
-PAUSE_S = 0.1  # after so long without a call the setpoint begins at the tool …
+PAUSE_S = 0.1  # after so long without a call the filter begins at the blend, the setpoint at the tool …
 PAUSE_INTERVALS = 3.0  # … or after so many intervals of a slow caller
 MAX_INTERVAL_S = 1.5  # longest interval that is taken as usual
 INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this; later ones double it at most
@@ -37,7 +34,7 @@ BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycl
 
 
 @jit
-def stopping_distance(speed_mps: Any, accel_mps2: Any, a_max_mps2: Any, jerk_mps3: Any) -> Any:
+def stopping_distance(speed_mps, accel_mps2, a_max_mps2, jerk_mps3):
     """Distance until velocity and acceleration are zero, from a velocity ≥ 0 [m].
 
     Parameters
@@ -59,7 +56,7 @@ def stopping_distance(speed_mps: Any, accel_mps2: Any, a_max_mps2: Any, jerk_mps
 
 
 @jit
-def can_stop(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: Any, jerk: Any) -> Any:
+def can_stop(e_m, v_mps, a_mps2, dt_s, v_max, a_max, jerk):
     """Whether a cycle at an acceleration leaves room to stop within `e_m` ≥ 0 and below `v_max`.
 
     Parameters
@@ -78,9 +75,7 @@ def can_stop(e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, v_max: Any, a_max: An
 
 
 @jit
-def next_acceleration(
-    e_m: Any, v_mps: Any, a_mps2: Any, dt_s: Any, next_s: Any, v_max: Any, a_max: Any, jerk: Any
-) -> Any:
+def next_acceleration(e_m, v_mps, a_mps2, dt_s, next_s, v_max, a_max, jerk):
     """Acceleration of the next cycle toward a target `e_m` ≥ 0 ahead [m/s²].
 
     Parameters
@@ -116,13 +111,13 @@ def next_acceleration(
 
 
 @jit
-def restart_pause_s(setpoint: Any) -> Any:
+def restart_pause_s(setpoint):
     """Pause after which a setpoint begins at the tool again [s]."""
     return max(PAUSE_S, PAUSE_INTERVALS * setpoint.interval_s)
 
 
 @jit
-def update_interval(setpoint: Any, dt_s: Any) -> None:
+def update_interval(setpoint, dt_s):
     """Update the usual and the shortest interval between calls."""
     if dt_s > setpoint.interval_s:
         setpoint.interval_s = min(dt_s, max(2.0 * setpoint.interval_s, INITIAL_INTERVAL_S), MAX_INTERVAL_S)
@@ -135,7 +130,7 @@ def update_interval(setpoint: Any, dt_s: Any) -> None:
 
 
 @jit
-def limit_in_force(permitted: Any, usable: Any, share: Any) -> Any:
+def limit_in_force(permitted, usable, share):
     """Limit in force: what the axis can use, up to the permitted limit with preview.
 
     Setpoints of a plan are far ahead of the axis, so that it responds sooner.
@@ -144,7 +139,7 @@ def limit_in_force(permitted: Any, usable: Any, share: Any) -> Any:
 
 
 @jit
-def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
+def has_settled(params, setpoint, e_m):
     """Whether a setpoint that a plan led is back at its target: until then its limits stay raised."""
     limit_mps2 = params.toward_factor * ACCELERATION_RATIO * params.plant_a_max_mps2
     return (
@@ -155,13 +150,13 @@ def has_settled(params: Any, setpoint: Any, e_m: Any) -> Any:
 
 
 @jit
-def may_be_slot(params: Any, gate: Any) -> Any:
+def may_be_slot(params, gate):
     """Whether the tool is just behind a confirmed fall of the ground."""
     return gate.step_m < 0.0 and gate.travel_since_step_m < SLOT_GROUP_LENGTHS * params.step_travel_m
 
 
 @jit
-def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> None:
+def propagate_setpoint(params, adaptive, target_m, dt_s):
     """Move the setpoint for a time at one acceleration.
 
     Parameters
@@ -201,7 +196,7 @@ def propagate_setpoint(params: Any, adaptive: Any, target_m: Any, dt_s: Any) -> 
 
 
 @jit
-def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, target_m: Any, tool_z_m: Any) -> None:
+def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     """Move the setpoint toward its target within the limits; after a pause it begins at the tool.
 
     Parameters
@@ -235,12 +230,12 @@ def limit_setpoint(params: Any, adaptive: Any, now_ns: Any, target_m: Any, tool_
 
 
 @jit
-def release_setpoint(setpoint: Any) -> None:
+def release_setpoint(setpoint):
     """Begin at the tool with the next setpoint."""
     setpoint.t_ns = 0
 
 
 @jit
-def mark_dryrun(setpoint: Any, in_dryrun: Any) -> None:
+def mark_dryrun(setpoint, in_dryrun):
     """Note whether the setpoint was made in DRYRUN, and not applied."""
     setpoint.in_dryrun = in_dryrun

@@ -4,19 +4,14 @@ Their heights enter the terrain buffer; a sample that disagrees with the one bef
 difference to channel 0 is estimated where channel 0 passes.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.sensing.kinematics import predict_pose
-from surffollow.forecast.terrain.known_ground import REGISTRATION_M, compare_known_ground
+from surffollow.forecast.sensing.kinematics import distance_along, predict_pose
+from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M, REGISTRATION_M, compare_known_ground
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M, buffered_height, store_ground_at
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import BEAMS
 
-AGREEMENT_M = 1.5e-3  # heights of two samples in a row that confirm each other
 BIAS_RATE = 0.02  # of the bias, per sample
 MAX_BIAS_M = 5e-3  # greater differences are not a bias
 MAX_LEAD_M = 0.4  # length of the terrain buffer, with a margin
@@ -24,13 +19,13 @@ TIMEOUT_NS = 200_000_000  # a sensor without samples for so long does not lead
 
 
 @jit
-def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose: Any) -> None:
+def observe_lookahead(params, adaptive, sense, moving, pose):
     """Store the ground that channels 1 and up measure ahead of channel 0's footprint.
 
     Parameters
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
-    moving : int             1: the direction of travel is known; otherwise no channel leads
+    moving : bool            the direction of travel is known; otherwise no channel leads
     pose : (7,) float64      scratch
     """
     clock, kinematics, sample, estimate, lookahead = (
@@ -40,9 +35,9 @@ def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose:
         adaptive.estimate,
         adaptive.lookahead,
     )
-    if moving == 0 or clock.now_ns - lookahead.seen_ns > TIMEOUT_NS:
+    if not moving or clock.now_ns - lookahead.seen_ns > TIMEOUT_NS:
         lookahead.lead_m = 0.0
-    if moving == 0 or estimate.samples == 0:
+    if not moving or estimate.samples == 0:
         return
     for c in range(1, params.n_channels):
         t = sense.range_t_ns[c] + adaptive.hold.shift_ns
@@ -52,13 +47,10 @@ def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose:
         t -= int(adaptive.latency.correction_s * 1e9)
         predict_pose(kinematics, sense, t, pose)
         x, y, z, _ = footprint(pose, params.tool_from_sensor, c, sense.range_m[c])
-        along = (
-            (x - sample.x_m) * kinematics.velocity_x_mps + (y - sample.y_m) * kinematics.velocity_y_mps
-        ) / kinematics.speed_mps
-        across = (
-            (x - sample.x_m) * kinematics.velocity_y_mps - (y - sample.y_m) * kinematics.velocity_x_mps
-        ) / kinematics.speed_mps
-        agrees = abs(z - lookahead.height_m[c]) < AGREEMENT_M
+        dx, dy = x - sample.x_m, y - sample.y_m
+        along = distance_along(kinematics, dx, dy)
+        across = (dx * kinematics.velocity_y_mps - dy * kinematics.velocity_x_mps) / kinematics.speed_mps
+        agrees = abs(z - lookahead.height_m[c]) < DISAGREEMENT_M
         lookahead.height_m[c] = z
         if not agrees or not MIN_LEAD_M < along < MAX_LEAD_M or abs(across) > MIN_LEAD_M:
             continue
@@ -68,38 +60,23 @@ def observe_lookahead(params: Any, adaptive: Any, sense: Any, moving: Any, pose:
 
 
 @jit
-def compare_lookahead(adaptive: Any, s_m: Any, h_m: Any) -> Any:
-    """Compare buffered ground with channel 0's height there and update the bias; 1 when it is too low.
+def compare_lookahead(adaptive, s_m, h_m):
+    """Compare buffered ground with channel 0's height there and update the bias; whether it is too low.
 
     Buffered ground that lies below channel 0's pulls the tool toward the surface. Several such samples in a
     row discard all that was measured ahead: it is used again beyond the newest of it.
     """
     lookahead = adaptive.lookahead
     if lookahead.lead_m == 0.0:
-        return 0
+        return False
     buffered = buffered_height(adaptive, s_m)
     if not math.isfinite(buffered):
-        return 0
+        return False
     height_behind_m = buffered_height(adaptive, s_m - REGISTRATION_M)
     height_ahead_m = buffered_height(adaptive, s_m + REGISTRATION_M)
     wrong = compare_known_ground(adaptive, height_behind_m, buffered, height_ahead_m, h_m - lookahead.bias_m)
     e = min(max(h_m - buffered, -MAX_BIAS_M), MAX_BIAS_M)
     lookahead.bias_m += BIAS_RATE * (e - lookahead.bias_m)
-    if wrong != 0:
+    if wrong:
         lookahead.trusted_from_m = s_m + lookahead.lead_m
     return wrong
-
-
-@jit
-def reset_lookahead(lookahead: Any) -> None:
-    """Discard lead and bias."""
-    lookahead.lead_m = lookahead.bias_m = lookahead.trusted_from_m = 0.0
-
-
-@jit
-def reset_lookahead_times(lookahead: Any) -> None:
-    """Discard all times: the clock jumped."""
-    lookahead.seen_ns = 0
-    lookahead.lead_m = 0.0
-    for c in range(BEAMS):
-        lookahead.range_ns[c] = 0

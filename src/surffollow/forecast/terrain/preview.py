@@ -4,13 +4,10 @@ Heights of a look-ahead sensor are in the terrain buffer. Heights of a map are a
 distances ahead of the point under the newest pose.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
-from surffollow.forecast.terrain.known_ground import REGISTRATION_M, compare_known_ground
+from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M, REGISTRATION_M, compare_known_ground
 from surffollow.forecast.terrain.terrain_buffer import buffered_height
 from surffollow.forecast.terrain.terrain_regression import DISTANCES_M, RISE_LENGTH_M, predict_rise
 from surffollow.shm.jit import jit
@@ -30,12 +27,11 @@ MAX_MODEL_ERROR_M2 = 4e-8  # (0.2 mm)²: beyond, the axis model is too wrong for
 LEADING_MAX_MODEL_ERROR_M2 = 1e-6  # (1 mm)²
 REFERENCE_RATE, ERROR_RATE = 0.002, 0.01  # per sample, without and with preview
 SUSPENSION_NS = 5_000_000_000  # after an error that is worse than without
-MAX_MAP_DEVIATION_M = 1.5e-3  # beyond, the ground has changed since it was mapped
 CONTRADICTION_NS = 100_000_000  # the map is not used for so long after samples that contradict it
 
 
 @jit
-def extrapolate_ground(adaptive: Any, known: Any, from_m: Any, bias_m: Any) -> None:
+def extrapolate_ground(adaptive, known, from_m, bias_m):
     """Fill `preview.ground_m` beyond the known points by the terrain regression.
 
     Parameters
@@ -66,7 +62,7 @@ def extrapolate_ground(adaptive: Any, known: Any, from_m: Any, bias_m: Any) -> N
 
 
 @jit
-def map_height(inputs: Any, ahead_m: Any) -> Any:
+def map_height(inputs, ahead_m):
     """Height of the map at a distance ahead of the point under the tool [m]; NaN when unknown."""
     step = inputs.preview_step_m
     if inputs.n_preview < 2 or not step > 0.0:
@@ -79,14 +75,12 @@ def map_height(inputs: Any, ahead_m: Any) -> Any:
 
 
 @jit
-def collect_preview(
-    adaptive: Any, inputs: Any, leading: Any, ahead_m: Any, since_pose_m: Any, bias_m: Any
-) -> Any:
+def collect_preview(adaptive, inputs, leading, ahead_m, since_pose_m, bias_m):
     """Fill `preview.ground_m` with the ground per controller period; returns the known periods.
 
     Parameters
     ----------
-    leading : int            1: from the terrain buffer, 0: from the map in the inputs
+    leading : bool           from the terrain buffer; False: from the map in the inputs
     ahead_m : float64        point under the tool at the latch time, ahead of the newest footprint [m]
     since_pose_m : float64   distance travelled since the newest report, at that time [m]
     bias_m : float64         added to the buffered heights [m]
@@ -95,7 +89,7 @@ def collect_preview(
     known = 0
     for k in range(HORIZON):
         travel = adaptive.kinematics.speed_mps * PERIOD_S * k
-        if leading != 0:
+        if leading:
             h = buffered_height(adaptive, adaptive.estimate.arc_length_m + ahead_m + travel) + bias_m
         else:
             h = map_height(inputs, since_pose_m + travel) + preview.map_bias_m
@@ -106,7 +100,7 @@ def collect_preview(
 
 
 @jit
-def compare_map(adaptive: Any, inputs: Any, ahead_m: Any, h_m: Any) -> None:
+def compare_map(adaptive, inputs, ahead_m, h_m):
     """Compare the map with a sample's height: update bias and deviation.
 
     A map that lies below the sample pulls the tool toward the surface. Several such samples in a row
@@ -127,7 +121,7 @@ def compare_map(adaptive: Any, inputs: Any, ahead_m: Any, h_m: Any) -> None:
         map_height(inputs, ahead_m - REGISTRATION_M),
         map_height(inputs, ahead_m + REGISTRATION_M),
     )
-    if compare_known_ground(adaptive, height_behind_m, map_m, height_ahead_m, h_m - preview.map_bias_m) != 0:
+    if compare_known_ground(adaptive, height_behind_m, map_m, height_ahead_m, h_m - preview.map_bias_m):
         withdraw_preview(preview)
         suspend_preview(preview, adaptive.clock.now_ns + CONTRADICTION_NS)
     e = h_m - map_m
@@ -138,7 +132,7 @@ def compare_map(adaptive: Any, inputs: Any, ahead_m: Any, h_m: Any) -> None:
 
 
 @jit
-def monitor_error(adaptive: Any, error_m: Any) -> None:
+def monitor_error(adaptive, error_m):
     """Compare the stand-off error with preview to that without; a worse plan is suspended.
 
     With a robot that is not as assumed the inverted plan may be worse than none. Errors that the plan
@@ -159,14 +153,14 @@ def monitor_error(adaptive: Any, error_m: Any) -> None:
 
 
 @jit
-def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None:
+def update_share(adaptive, known, leading, plant_m2):
     """Raise or lower preview's share of the setpoint by one controller period.
 
     Parameters
     ----------
     adaptive : record of `AdaptiveState` (`preview` updated)
     known : int         known periods of ground
-    leading : int       1: the ground is known from a sensor that leads
+    leading : bool      the ground is known from a sensor that leads
     plant_m2 : float64  squared error of the best axis model [m²]
     """
     # with a sensor that leads, an uncertain plan is better than none
@@ -174,38 +168,22 @@ def update_share(adaptive: Any, known: Any, leading: Any, plant_m2: Any) -> None
     trusted = (
         adaptive.clock.now_ns >= preview.suspended_until_ns
         and plant_m2 < MAX_MODEL_ERROR_M2
-        and preview.map_deviation_m < MAX_MAP_DEVIATION_M
+        and preview.map_deviation_m < DISAGREEMENT_M
     )
-    usable = known >= MIN_KNOWN_PERIODS and (
-        trusted or (leading != 0 and plant_m2 < LEADING_MAX_MODEL_ERROR_M2)
-    )
+    usable = known >= MIN_KNOWN_PERIODS and (trusted or (leading and plant_m2 < LEADING_MAX_MODEL_ERROR_M2))
     preview.share += SHARE_RATE if usable else -SHARE_RATE
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
-    preview.sensed_periods = known if leading != 0 else 0
+    preview.sensed_periods = known if leading else 0
 
 
 @jit
-def suspend_preview(preview: Any, until_ns: Any) -> None:
+def suspend_preview(preview, until_ns):
     """Suspend preview until a time, or until later if that was set before."""
     preview.suspended_until_ns = max(preview.suspended_until_ns, until_ns)
 
 
 @jit
-def withdraw_preview(preview: Any) -> None:
+def withdraw_preview(preview):
     """Set preview's share to zero at once: its plan does not apply any more."""
     preview.sensed_periods = 0
     preview.share = 0.0
-
-
-@jit
-def reset_preview(preview: Any) -> None:
-    """Discard share, comparison with the map, and errors."""
-    withdraw_preview(preview)
-    preview.map_bias_m = preview.map_deviation_m = 0.0
-    preview.error_m2 = preview.reference_error_m2 = 0.0
-
-
-@jit
-def reset_preview_time(preview: Any) -> None:
-    """End a suspension: the clock jumped."""
-    preview.suspended_until_ns = 0

@@ -4,10 +4,6 @@
 (comparison of map and sensor). In all other cycles nothing is read and nothing is logged.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.plant.controller_clock import period_is_due
 from surffollow.forecast.reference_scales import dimensionless_time, is_unscaled
@@ -32,7 +28,7 @@ WINDOW_MARGIN_M = 1.5e-3  # for interpolation, and for noise of the reports
 
 
 @jit
-def newest_conversion(inputs: Any) -> Any:
+def newest_conversion(inputs):
     """Index of the cycle's last conversion of channel 0; -1: none, or it is invalid."""
     for j in range(inputs.n_conversions):
         k = inputs.n_conversions - 1 - j
@@ -43,7 +39,7 @@ def newest_conversion(inputs: Any) -> Any:
 
 
 @jit
-def preview_uses(params: Any, adaptive: Any, scaled: Any, inputs: Any, now_ns: Any) -> Any:
+def preview_uses(params, adaptive, scaled, inputs, now_ns):
     """Uses of a preview in the coming cycle: FOR_SAMPLE, FOR_PERIOD, both or 0.
 
     Parameters
@@ -67,7 +63,7 @@ def preview_uses(params: Any, adaptive: Any, scaled: Any, inputs: Any, now_ns: A
         or adaptive.sample.lead_m > MIN_LEAD_M
     ):
         return 0
-    due = FOR_PERIOD if period_is_due(adaptive.controller, inputs.n_ranges, now_ns) != 0 else 0
+    due = FOR_PERIOD if period_is_due(adaptive.controller, inputs.n_ranges, now_ns) else 0
     k = newest_conversion(inputs)
     if k >= 0:
         range_m = params.zero_m[0] + params.scale_m[0] * conversion_counts(inputs.conversion[k])
@@ -80,7 +76,7 @@ def preview_uses(params: Any, adaptive: Any, scaled: Any, inputs: Any, now_ns: A
 
 
 @jit
-def preview_window(params: Any, state: Any, inputs: Any) -> Any:
+def preview_window(params, state, inputs):
     """Uses of a preview in the coming cycle, and the piece of the path that it must cover.
 
     Parameters
@@ -102,7 +98,7 @@ def preview_window(params: Any, state: Any, inputs: Any) -> Any:
         pose_t_ns, x, y = sense.pose_t_ns[newest], sense.pose[7 * newest], sense.pose[7 * newest + 1]
     else:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    p = params[0] if is_unscaled(d) != 0 else d.params
+    p = params[0] if is_unscaled(d) else d.params
     t_ns, pose_t_ns = dimensionless_time(d, i.t_ns), dimensionless_time(d, pose_t_ns)
     now_ns = max(adaptive.clock.now_ns, t_ns, pose_t_ns)
     due = preview_uses(p, adaptive, d, i, now_ns)

@@ -3,15 +3,12 @@
 After a turn the path leads elsewhere; cells that do not lie on it are ignored.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
-CELL_M = 1e-3  # length of a cell along the path
+CELL_M = 1e-3  # length of a cell along the path, side of a cell of the terrain memory
 MIN_LEAD_M = 0.005  # a footprint this far ahead leads
 MAX_HOLE_CELLS = 8  # holes up to this long are bridged
 # greatest distance from the path, or share of the distance along it
@@ -19,7 +16,7 @@ OFF_PATH_M, OFF_PATH_SHARE = 5e-3, 0.2
 
 
 @jit
-def point_at(adaptive: Any, s_m: Any) -> Any:
+def point_at(adaptive, s_m):
     """Point of the path at an arc length, straight through the newest footprint [m]."""
     kinematics, sample = adaptive.kinematics, adaptive.sample
     if kinematics.speed_mps == 0.0:
@@ -29,7 +26,7 @@ def point_at(adaptive: Any, s_m: Any) -> Any:
 
 
 @jit
-def is_off_path(adaptive: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
+def is_off_path(adaptive, c, s_m, x_m, y_m):
     """Whether cell c was measured away from a point of the path.
 
     Parameters
@@ -45,14 +42,14 @@ def is_off_path(adaptive: Any, c: Any, s_m: Any, x_m: Any, y_m: Any) -> Any:
 
 
 @jit
-def store_ground(adaptive: Any, s_m: Any, h_m: Any) -> None:
+def store_ground(adaptive, s_m, h_m):
     """Store an accepted height at its arc length."""
     x, y = point_at(adaptive, s_m)
     store_ground_at(adaptive, s_m, h_m, x, y)
 
 
 @jit
-def store_ground_at(adaptive: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> None:
+def store_ground_at(adaptive, s_m, h_m, x_m, y_m):
     """Store a height measured at a point at its arc length; a cell measured elsewhere is replaced.
 
     Parameters
@@ -76,7 +73,7 @@ def store_ground_at(adaptive: Any, s_m: Any, h_m: Any, x_m: Any, y_m: Any) -> No
 
 
 @jit
-def buffered_height(adaptive: Any, s_m: Any) -> Any:
+def buffered_height(adaptive, s_m):
     """Buffered height at an arc length, linear between cells [m]; NaN where there is none.
 
     Cells that are off the path after a turn count as none.

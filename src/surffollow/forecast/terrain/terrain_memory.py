@@ -13,17 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.forecast.reference_scales import dimensionless_time
+from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS
+from surffollow.forecast.terrain.preview_schedule import MAX_SPEED_MPS
+from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MAX_PREVIEW, POSES
 
 CELLS = 1 << 16  # number of cells
-CELL_M = 1e-3  # side of a cell
 PROBES = 8  # per cell
 MAX_COUNT = 64.0  # heights in a mean, at most
 MAX_INDEX = 1 << 31  # of a cell
 CURRENT_PASS_NS = 1_000_000_000  # younger heights belong to the present pass
 BEHIND_S, AHEAD_S = 0.06, 0.45  # piece of the path that a preview covers
-MIN_SPEED_MPS, MAX_SPEED_MPS = 5e-3, 10.0  # outside there is no direction of travel
 MEMORY = np.dtype(
     [(name, np.int64) for name in ("ix", "iy", "t_ns")]
     + [(name, np.float64) for name in ("n", "height_m", "n_before", "height_before_m")]
@@ -37,7 +38,7 @@ def new_memory() -> NDArray[Any]:
 
 
 @jit
-def _first_probe(ix: Any, iy: Any) -> Any:
+def _first_probe(ix, iy):
     """First probe of a cell: a hash of its two indices."""
     h = (ix * 73856093) ^ (iy * 19349663)
     h ^= h >> 13
@@ -45,7 +46,7 @@ def _first_probe(ix: Any, iy: Any) -> Any:
 
 
 @jit
-def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, t_ns: Any) -> None:
+def store_height(memory, x_m, y_m, height_m, t_ns):
     """Average a height into its cell at a time (> 0, growing); coordinates too far away are ignored.
 
     Parameters
@@ -77,7 +78,7 @@ def store_height(memory: Any, x_m: Any, y_m: Any, height_m: Any, t_ns: Any) -> N
 
 
 @jit
-def read_height(memory: Any, x_m: Any, y_m: Any, before_ns: Any) -> Any:
+def read_height(memory, x_m, y_m, before_ns):
     """Mean height around a point, of heights older than `before_ns`; NaN when there are none.
 
     The nine cells around the point are weighted by their number of heights and their distance.
@@ -111,7 +112,7 @@ def read_height(memory: Any, x_m: Any, y_m: Any, before_ns: Any) -> Any:
 
 
 @jit
-def read_preview(memory: Any, state: Any, inputs: Any) -> None:
+def read_preview(memory, state, inputs):
     """Fill a cycle's preview with remembered heights along the direction of travel.
 
     Parameters
@@ -128,7 +129,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
     kinematics, sample = adaptive.kinematics, adaptive.sample
     i.n_preview = 0
     v = kinematics.speed_mps
-    if sense.pose_count == 0 or not MIN_SPEED_MPS <= v < MAX_SPEED_MPS:
+    if sense.pose_count == 0 or not MIN_DIRECTION_SPEED_MPS <= v < MAX_SPEED_MPS:
         return
     tool = 7 * ((sense.pose_count - 1) & (POSES - 1))
     x, y = sense.pose[tool] / d.length + sample.tip_x_m, sense.pose[tool + 1] / d.length + sample.tip_y_m
@@ -152,7 +153,7 @@ def read_preview(memory: Any, state: Any, inputs: Any) -> None:
 
 
 @jit
-def store_footprint(memory: Any, state: Any, output: Any) -> None:
+def store_footprint(memory, state, output):
     """Store the footprint of this cycle, if it entered the estimate."""
     o, per_m = output[0], 1.0 / state[0].scaled.length
     if o.fresh & 1:

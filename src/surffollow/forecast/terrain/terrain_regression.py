@@ -5,10 +5,7 @@ its last rise. The residual variance shrinks the extrapolated height toward that
 with bounded acceleration reaches any height soonest.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
@@ -27,14 +24,14 @@ MAX_DIFFERENCE_M = 1.0  # greater differences are not ground
 
 
 @jit
-def reset_distance(regression: Any, j: Any) -> None:
+def reset_distance(regression, j):
     """Discard the regression over `DISTANCES_M[j]`."""
     regression.offset_offset_m2[j] = regression.offset_rise_m2[j] = regression.rise_rise_m2[j] = 0.0
     regression.offset_change_m2[j] = regression.rise_change_m2[j] = regression.change_change_m2[j] = 0.0
 
 
 @jit
-def update_regression(adaptive: Any, h_m: Any, travel_m: Any, adapt: Any) -> None:
+def update_regression(adaptive, h_m, travel_m, adapt):
     """Update the regressions with an accepted height.
 
     Parameters
@@ -42,7 +39,7 @@ def update_regression(adaptive: Any, h_m: Any, travel_m: Any, adapt: Any) -> Non
     adaptive : record of `AdaptiveState` (updated)
     h_m : float64            height at the present arc length [m]
     travel_m : float64       distance travelled since the sample before [m]
-    adapt : int              0: only the recent mean is updated
+    adapt : bool             False: only the recent mean is updated
     """
     estimate, regression = adaptive.estimate, adaptive.regression
     if not abs(h_m - regression.mean_height_m) < MAX_DIFFERENCE_M:
@@ -51,7 +48,7 @@ def update_regression(adaptive: Any, h_m: Any, travel_m: Any, adapt: Any) -> Non
     regression.mean_height_m += min(travel_m / max(regression.mean_length_m, MIN_TRAVEL_M), 1.0) * (
         h_m - regression.mean_height_m
     )
-    rate = 1.0 - math.exp(-travel_m / REGRESSION_LENGTH_M) if adapt != 0 else 0.0
+    rate = 1.0 - math.exp(-travel_m / REGRESSION_LENGTH_M) if adapt else 0.0
     for j in range(N_DISTANCES):
         height_behind_m = buffered_height(adaptive, estimate.arc_length_m - DISTANCES_M[j])
         rise = height_behind_m - buffered_height(
@@ -75,15 +72,7 @@ def update_regression(adaptive: Any, h_m: Any, travel_m: Any, adapt: Any) -> Non
 
 
 @jit
-def reset_regression(regression: Any) -> None:
-    """Discard all regressions."""
-    regression.mean_height_m = regression.mean_length_m = 0.0
-    for j in range(N_DISTANCES):
-        reset_distance(regression, j)
-
-
-@jit
-def predict_rise(regression: Any, j: Any, offset_m: Any, rise_m: Any) -> Any:
+def predict_rise(regression, j, offset_m, rise_m):
     """Expected change of height over `DISTANCES_M[j]` [m].
 
     Parameters
@@ -113,6 +102,6 @@ def predict_rise(regression: Any, j: Any, offset_m: Any, rise_m: Any) -> Any:
 
 
 @jit
-def reset_mean(regression: Any, h_m: Any) -> None:
+def reset_mean(regression, h_m):
     """Begin the recent mean at a height."""
     regression.mean_height_m, regression.mean_length_m = h_m, 0.0
