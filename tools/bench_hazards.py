@@ -1,7 +1,7 @@
 """Search for hazards: scenarios of wrong readings and poses, followers and a plain P loop side by side.
 
 Printed per family: the least clearance of each [mm, 100 wanted], how far the first follower came nearer to
-the ground than the P loop did, and contacts while the demand was VALID. The worst scenario is shrunk.
+the ground than the P loop did or than wanted, and contacts while the demand was VALID. The worst is shrunk.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 from surffollow import Follower
 from surffollow.benchmark.hazard_scenarios import FAMILIES, FAR_M, KINDS, NEAR_M, STANDOFF_M, Scenario, draw
-from surffollow.benchmark.hazards import PLoop, play, shrink
+from surffollow.benchmark.hazards import PLoop, play, shortfall_m, shrink
 
 BELOW_P_M = 5e-3
 METHODS = ("adaptive", "paper", "p")
@@ -44,9 +44,13 @@ def run(job: tuple[str, int, tuple[str, ...]]) -> dict[str, Any]:
     return {"scenario": asdict(scenario), **played}
 
 
+def below(row: dict[str, Any], method: str) -> float:
+    return shortfall_m(row["p"]["clearance_m"], row[method]["clearance_m"])
+
+
 def below_p_m(method: str, s: Scenario) -> float:
     clearance = {m: play(make(m, s.family, s.interval_ms), s).clearance_m for m in ("p", method)}
-    return clearance["p"] - clearance[method]
+    return shortfall_m(clearance["p"], clearance[method])
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -79,18 +83,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     first, rows = methods[0], []
     for family in families:
         of = [r for r in found if r["scenario"]["family"] == family]
-        worst = max(of, key=lambda r: r["p"]["clearance_m"] - r[first]["clearance_m"])
+        worst = max(of, key=lambda r: below(r, first))
         rows.append(
             {
                 "family": family,
                 "least_m": {m: min(r[m]["clearance_m"] for r in of) for m in methods},
-                "below_p_m": {
-                    m: max(r["p"]["clearance_m"] - r[m]["clearance_m"] for r in of) for m in methods
-                },
-                "over_limit": {
-                    m: sum(r["p"]["clearance_m"] - r[m]["clearance_m"] > BELOW_P_M for r in of)
-                    for m in methods
-                },
+                "below_p_m": {m: max(below(r, m) for r in of) for m in methods},
+                "over_limit": {m: sum(below(r, m) > BELOW_P_M for r in of) for m in methods},
                 "contact_valid": {m: sum(r[m]["contact_valid"] for r in of) for m in methods},
                 "tilt_rad": {m: max(r[m]["tilt_rad"] for r in of) for m in methods},
                 "worst": worst["scenario"],

@@ -34,13 +34,14 @@ class Job:
     seconds: float = 5.0
     mount_m: float = 0.0  # of the sensor, from the tool along the direction of travel
 
-    def follower(self) -> Follower:
+    def follower(self, **settings) -> Follower:
         near, far = self.window_m
         plant = {"tau_s": self.tau_s, "v_max_mps": self.v_max_mps, "a_max_mps2": self.a_max_mps2}
         return Follower(
             {
                 "sensors": [{"near_m": near, "far_m": far, "position_m": [self.mount_m, 0.0, 0.0]}],
                 "plant": plant,
+                **settings,
             },
             offset_m=self.standoff_m,
         )
@@ -209,6 +210,51 @@ def test_a_sensor_far_behind_crosses_a_valley(trail_m, speed_mps, seed):
     plain, own = (clearances_m(job, f, seed, places, heights).min() for f in (None, job.follower()))
     print(f"least clearance {1e3 * own:.1f} mm, P loop {1e3 * plain:.1f} mm")
     assert own > plain - 0.04 * job.standoff_m  # up to 17 mm below when it was carried on over the trail
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize(
+    ("sensor_hz", "speed_mps", "slope"), [(10, 0.3, 0.4), (10, 0.225, 0.4), (5, 0.15, 0.4), (2, 0.12, 0.2)]
+)
+def test_a_slow_sensor_crosses_a_valley(sensor_hz, speed_mps, slope, seed):
+    """GIVEN ground that falls WHEN it rises THEN every nearer sample raises the tool.
+
+    The second one was too near for the travel since the first, which waited, and the fall was carried on:
+    contact while VALID in 9 of 40 runs.
+    """
+    rng = np.random.default_rng(seed)
+    places = speed_mps * 1e-3 * np.arange(7000)
+    heights = slope * np.abs(places - speed_mps * (4.0 + rng.uniform() / sensor_hz))
+    heights += 1e-3 * np.sin(2.0 * math.pi / 0.11 * places + rng.uniform(0.0, 6.0))
+    job = Job(sensor_hz=sensor_hz)
+    least = clearances_m(job, job.follower(), seed, places, heights, range_late_ms=30, pose_late_ms=10).min()
+    print(f"least clearance {1e3 * least:.1f} mm")
+    assert least > 0.55 * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(("sensor_hz", "speed_mps"), [(2.5, 0.37), (2, 0.3), (3, 0.354)])
+def test_a_wave_shorter_than_two_samples_apart_is_no_model(sensor_hz, speed_mps, seed):
+    """GIVEN stairs under a slow sensor WHEN a wave fits by aliasing THEN the tool does not follow it."""
+    rng = np.random.default_rng(seed)
+    places = speed_mps * 1e-3 * np.arange(20_000)
+    edges = np.cumsum(rng.uniform(0.1, 0.4, 60))
+    heights = np.concatenate([[0.0], np.cumsum(rng.uniform(0.005, 0.01, 60))])[np.searchsorted(edges, places)]
+    job = Job(sensor_hz=sensor_hz)
+    found = clearances_m(job, job.follower(), seed, places, heights)
+    print(f"least clearance {1e3 * found.min():.1f} mm")
+    assert found.min() > 0.75 * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_means_of_a_slow_sensor_that_misses_readings(seed):
+    """GIVEN means of several ranges WHEN 30 % of them are missing THEN the tool is not blind."""
+    job = Job(sensor_hz=50, speed_mps=0.3, slope=0.2, flat_m=0.3, seconds=4.5)
+    rng = np.random.default_rng(seed)
+    follower = job.follower(sensor_readings=7)
+    found = job.clearances_m(follower, seed, lambda t, read, _: math.nan if rng.random() < 0.3 else read)
+    print(f"least clearance {1e3 * found.min():.1f} mm")
+    assert found.min() > 0.75 * job.standoff_m
 
 
 @pytest.mark.parametrize("seed", [1, 2])

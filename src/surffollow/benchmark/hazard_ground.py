@@ -58,6 +58,9 @@ def make_ground(s: Scenario) -> Ground:
         for begin in np.arange(0.1, float(x[-1]), 0.15):
             for at, width in zip(begin + np.cumsum(rng.uniform(8e-3, 20e-3, 5)), rng.uniform(2e-3, 6e-3, 5)):
                 first[(x > at) & (x < at + width)] -= s.size_m
+    if s.family == "stairs and slow":  # up, or down, by the size every 0.1 to 0.4 m
+        places = np.cumsum(rng.uniform(0.1, 0.4, 1 + int(10.0 * float(x[-1]))))
+        first += s.size_m * np.searchsorted(places, x)
     if s.family == "filled slot":  # 20 to 60 mm wide; all or every other one is filled before the second pass
         for k, begin in enumerate(np.arange(0.02, float(x[-1]), 0.15)):
             slot = (x > begin) & (x < begin + rng.uniform(20e-3, 60e-3))

@@ -81,6 +81,8 @@ KINDS = {
     "valley far behind": Kind(
         mounts_m=FAR_BEHIND, slope=(0.0, 0.3), interval_ms=(READING_MS, 50), valley=True
     ),
+    "valley and slow": Kind(slope=(0.05, 0.4), interval_ms=(20, 500), valley=True),
+    "stairs and slow": Kind((5e-3, 25e-3), signed=True, interval_ms=(20, 500)),
 }
 MAX_RISE = 0.25  # between two readings, of the distance between stand-off and near limit
 FAMILIES = tuple(KINDS)

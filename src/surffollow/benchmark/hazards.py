@@ -32,6 +32,7 @@ from surffollow.benchmark.hazard_scenarios import (
 from surffollow.sim.plant import PlantConfig, axis_step, setpoint_for
 
 P_GAIN, P_TIMEOUT_MS, P_TIMEOUT_INTERVALS = 0.7, 130, 2.5
+HELD_MS = 100
 NOISY = ("blocked", "frozen", "constant and far", "all blocked")
 PLANT = PlantConfig()
 
@@ -47,27 +48,44 @@ class Outcome:
 
 
 class PLoop:
-    """A plain P loop on the distance of the first sensor, as a user would write it."""
+    """A plain P loop on the distance of the first sensor, as a user would write it.
+
+    Under a sensor of more than `HELD_MS` it sets a height per reading and holds it: a demand that is repeated
+    until the next reading would oscillate.
+    """
 
     def __init__(self, interval_ms: int = 0) -> None:
-        self._error, self._t_ns, self._now_ns = 0.0, -(1 << 60), 0
+        self._demand_m, self._target_m, self._z_m = 0.0, 0.0, 0.0
+        self._t_ns, self._now_ns = -(1 << 60), 0
+        self._held = interval_ms > HELD_MS
         self._timeout_ns = max(P_TIMEOUT_MS, P_TIMEOUT_INTERVALS * interval_ms) * 1_000_000
 
     def pose(self, t_ns: int, pose: Any) -> None:
-        """Poses are not used."""
+        """Only the height is used, to hold one."""
+        self._z_m = float(pose[2])
 
     def step(self, t_ns: int, ranges_m: Any) -> list[float]:
         """The demand: −gain · error while the last reading is recent."""
         r = float(ranges_m[0])
         if NEAR_M < r < FAR_M:
-            self._error, self._t_ns = r - STANDOFF_M, t_ns
+            self._demand_m, self._t_ns = -P_GAIN * (r - STANDOFF_M), t_ns
+            self._target_m = self._z_m + self._demand_m
         self._now_ns = max(self._now_ns, t_ns)
         recent = self._now_ns - self._t_ns <= self._timeout_ns
-        return [0.0, 0.0, -P_GAIN * self._error if recent else 0.0, 0.0, 0.0, 0.0]
+        demand_m = self._target_m - self._z_m if self._held else self._demand_m
+        return [0.0, 0.0, demand_m if recent else 0.0, 0.0, 0.0, 0.0]
 
     def state(self) -> dict[str, Any]:
         """Its demand is always valid."""
         return {"status": ["VALID"]}
+
+
+def shortfall_m(plain_m: float, own_m: float) -> float:
+    """How far a least clearance is below that of the P loop, or below the stand-off if that is less [m].
+
+    A P loop that lags over falling ground keeps more than the stand-off. That is no clearance to miss.
+    """
+    return min(plain_m, STANDOFF_M) - own_m
 
 
 def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> float:

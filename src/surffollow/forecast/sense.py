@@ -9,7 +9,7 @@ from surffollow.shm.conversion import (
     conversion_flags,
 )
 from surffollow.shm.jit import jit_inlined
-from surffollow.shm.layout_follow import CHANNELS, CONVERSION_WINDOW
+from surffollow.shm.layout_follow import CHANNELS, CONVERSION_WINDOW, MODE_ADAPTIVE
 
 ABSENT_TAU = 0.25  # a reading older than this share of τ is absent: 10 ms at 40 ms
 SPACING_GROWTH = 8  # a few losses between lone readings do not make a slow sensor
@@ -71,12 +71,12 @@ def push_sample(params, sense, c, t_ns, range_m):
 
 
 @jit_inlined
-def average_windows(params, sense):
-    """Make a reading of every channel with a sample in this step and `sensor_readings` of them in a row.
+def average_windows(params, sense, least):
+    """Make a reading of every channel with a sample in this step and at least so many of them in a row.
 
-    It is stamped at the middle of its samples, less the sensor's latency.
+    It is the mean of the newest `sensor_readings` of them, or of as many as there are, stamped at the middle
+    of its samples, less the sensor's latency.
     """
-    readings = params.sensor_readings
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             sense.missed[c] = 1
@@ -85,9 +85,10 @@ def average_windows(params, sense):
         base = c * CONVERSION_WINDOW
         last_ns = sense.window_t_ns[base + ((n - 1) & (CONVERSION_WINDOW - 1))]
         note_spacing(sense, c, last_ns)
-        if n < readings:
+        if n < least:
             sense.fresh[c] = 0
             continue
+        readings = min(n, params.sensor_readings)
         total = 0.0
         for i in range(n - readings, n):
             total += sense.window_m[base + (i & (CONVERSION_WINDOW - 1))]
@@ -121,14 +122,16 @@ def take_conversions(params, sense, inputs):
             lose_channel(sense, c)
         else:
             push_sample(params, sense, c, inputs.t_ns + conversion_dt_ns(word), range_m)
-    average_windows(params, sense)
+    average_windows(params, sense, params.sensor_readings)
 
 
 @jit_inlined
 def take_ranges(params, sense, inputs):
     """Take distances that come ready-made (a CSV, an embedder), averaged like conversions.
 
-    NaN, or none given, is no reading in this step; a number on or outside the valid range is a loss.
+    NaN, or none given, is no reading in this step; a number on or outside the valid range is a loss. The
+    adaptive mode, which knows the noise, makes a reading of fewer ranges after a loss: a slow sensor that
+    misses some would seldom give `sensor_readings` in a row.
     """
     for c in range(CHANNELS):
         sense.fresh[c] = 0
@@ -139,7 +142,7 @@ def take_ranges(params, sense, inputs):
             push_sample(params, sense, c, inputs.given_t_ns, range_m)
         elif range_m == range_m:
             lose_channel(sense, c)
-    average_windows(params, sense)
+    average_windows(params, sense, 1 if params.mode == MODE_ADAPTIVE else params.sensor_readings)
 
 
 @jit_inlined

@@ -215,8 +215,9 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     estimate.height_m = blend_height(adaptive)
     innovation = h_m - estimate.height_m
     plausible = PLAUSIBLE_SLOPE * travel
-    if estimate.samples < INITIALISATION_SAMPLES:  # no slope is known: the travel since the last one counts
-        plausible = INITIAL_PLAUSIBLE_SLOPE * travel * ((t_ns - estimate.accepted_ns) * 1e-9 / dt)
+    steepest = INITIAL_PLAUSIBLE_SLOPE * travel * ((t_ns - estimate.accepted_ns) * 1e-9 / dt)
+    if estimate.samples < INITIALISATION_SAMPLES:  # no slope is known
+        plausible = steepest
     width = max(gate_width(params, gate), plausible)
     update_travel(params, gate, travel)
     unconfirmed = gate.unconfirmed_m
@@ -225,7 +226,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     if not sparse and needs_second_sample(adaptive, innovation, width):
         if adapt and estimate.samples > 1:
             update_scale(gate, innovation, width)  # frequent ones mean rough ground
-        withhold_sample(gate, innovation, INITIAL_PLAUSIBLE_SLOPE * travel)
+        withhold_sample(gate, innovation, steepest)
         return False
     if (
         estimate.samples == 1
@@ -236,7 +237,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         return True
     if abs(innovation) > width:
         if not hold_pending(params, adaptive, innovation, travel, width, gap):
-            withhold_sample(gate, innovation, INITIAL_PLAUSIBLE_SLOPE * travel)
+            withhold_sample(gate, innovation, steepest)
             return False
         if gate.pending > estimate.samples:
             restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
@@ -256,7 +257,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     blend_models(adaptive)
     nearer_m = h_m - estimate.height_m
     if nearer_m > INNER_GATE * gate_width(params, gate):  # the models follow too slowly
-        withhold_sample(gate, nearer_m, INITIAL_PLAUSIBLE_SLOPE * travel)
+        withhold_sample(gate, nearer_m, steepest)
     estimate.slope_power += (1.0 - math.exp(-travel / SLOPE_POWER_LENGTH_M)) * (
         estimate.slope * estimate.slope - estimate.slope_power
     )

@@ -12,6 +12,8 @@ import numpy as np
 from surffollow.forecast.estimation.model_bank import (
     BANK,
     N_MODELS,
+    SCALE,
+    WAVES,
     extrapolation_variance,
 )
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
@@ -30,6 +32,8 @@ BURN_IN_CHANCE_FACTOR = 4.0  # at the start, falling to 1
 # power of the effort: on rough ground the smoother of two equal models is better, and during
 # burn-in a model that follows the noise may fit by chance
 ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
+# phase of a wave between two samples: from π on it is an alias of a longer one
+MAX_WAVE_PHASE, EXCLUDED = 2.0 * math.pi / 3.0, 1e300
 INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
 
 
@@ -99,7 +103,8 @@ def update_weights(params, adaptive, dt_s):
     effort_power = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * noise_part * noise_part * (
         1.0 - progress
     )
-    least = 1e300
+    spacing_m = adaptive.kinematics.speed_mps * adaptive.prediction.interval_s
+    least = EXCLUDED
     for i in range(N_MODELS):
         extra = floor + mu * shadow.effort[i]
         c = power * math.log(weights.recent_m2[i] - subtracted + extra)
@@ -112,6 +117,8 @@ def update_weights(params, adaptive, dt_s):
                 * variance_share
                 * math.log(extrapolation_variance(i, adaptive.bank, ahead_m) + variance)
             )
+        if i >= WAVES and SCALE[i] * spacing_m > MAX_WAVE_PHASE:
+            c = EXCLUDED
         weights.cost[i] = c
         least = min(least, c)
     total = 0.0

@@ -2,6 +2,7 @@
 
 import math
 
+from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
     WAVES,
@@ -24,6 +25,9 @@ DEADBAND_SOFTNESS = 2.5  # in deadbands
 SLOPE_LIMIT = 0.2  # slope that is never clamped …
 SLOPE_LIMIT_RMS = 3.0  # … or multiples of the RMS slope of the last metre …
 HEIGHT_MARGIN_M = 1e-3  # … plus this
+# of the travel since the newest sample of a slow sensor: a valley costs 17 mm more of clearance with 0
+# (bench_hazards.py, "valley and slow"), a winch's error is 15 % greater with 1 (bench_scales.py)
+LEVEL_SHARE = 0.5
 
 
 @jit
@@ -41,8 +45,9 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """Setpoints of all models at `ahead_m` beyond the newest footprint; returns their blend [m].
 
     A model adds its slope times `lead_m`. The change of height is clamped to `max_slope` of the
-    distance, plus 1 mm. Over the trail of a sensor falling ground may rise again unseen: slopes and
-    curves count as level there, waves rise by themselves.
+    distance, plus 1 mm. Ground that is not seen may rise again where it fell: over the trail of a
+    sensor, and over a share of the travel since the newest sample of a slow one, slopes and curves that fall
+    count as level. Waves rise by themselves.
 
     Parameters
     ----------
@@ -55,14 +60,16 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
     extrapolate_bank(bank, ahead_m)
     margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + abs(lead_m))
-    trail_m = min(max(-adaptive.sample.lead_m, 0.0), max(ahead_m, 0.0))
-    trail_share = trail_m / (ahead_m + lead_m) if trail_m > 0.0 else 0.0
+    unseen_m = min(max(-adaptive.sample.lead_m, 0.0), max(ahead_m, 0.0))
+    if is_slow(adaptive):
+        unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
+    level_share = unseen_m / (ahead_m + lead_m) if unseen_m > 0.0 else 0.0
     z = 0.0
     for i in range(N_MODELS):
         change = bank.rise_m[i] + lead_m * bank.slope_ahead[i]
         change = min(max(change, -margin), margin)
         if i < WAVES:
-            change -= min(change, 0.0) * trail_share
+            change -= min(change, 0.0) * level_share
         t = model_height(i, bank) + change + standoff_m
         blend.model_m[i] = t
         z += weights.weight[i] * t
