@@ -263,11 +263,16 @@ def test_sensor_readings_averages_so_many_ranges_and_no_reading_between_them_mat
     for k, r in enumerate(ranges):
         f.step(T0 + k * MS, [r])
         reported.append(f.state()["range_m"][0])
-    assert [v != v for v in reported] == [True, True, True, False, False]
+    # the adaptive mode begins with means of fewer
+    paper = mode == "paper"
+    assert reported[:3] == pytest.approx(
+        [math.nan if paper else 0.11, math.nan, math.nan if paper else 0.1105], nan_ok=True
+    )
     assert reported[3:] == pytest.approx([0.112, (0.111 + 0.115 + 0.118) / 3])
     f.step(T0 + 5 * MS, [9.0])
     f.step(T0 + 6 * MS, [0.118])
-    assert math.isnan(f.state()["range_m"][0]), "a mean does not span a loss"
+    found = f.state()["range_m"][0]
+    assert math.isnan(found) if paper else found == 0.118, "a mean does not span a loss"
 
 
 def test_without_sensor_readings_every_range_is_a_reading():
