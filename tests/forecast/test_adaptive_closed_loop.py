@@ -246,6 +246,24 @@ def test_a_wave_shorter_than_two_samples_apart_is_no_model(sensor_hz, speed_mps,
     assert found.min() > 0.75 * job.standoff_m
 
 
+def test_wrong_readings_of_a_burst_seldom_agree():
+    """GIVEN bursts of 50 ms, each reading wrong by up to 10 mm THEN chance seldom confirms a step.
+
+    Two readings agreed when they differed by less than the gate: 58 of 360 bursts moved the tool, now 11.
+    """
+    moved, job = 0, Job(seconds=60.0)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        found = job.clearances_m(
+            job.follower(),
+            seed,
+            lambda t, read, _, rng=rng: read + rng.uniform(-0.01, 0.01) * (0.5 < t % 1.0 < 0.55),
+        )
+        moved += int(np.sum(np.abs(found - job.standoff_m).reshape(-1, 1000).max(axis=1) > 0.002))
+    print(f"{moved} of 360 bursts moved the tool by more than 2 mm")
+    assert moved < 18
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_means_of_a_slow_sensor_that_misses_readings(seed):
     """GIVEN means of several ranges WHEN 30 % of them are missing THEN the tool is not blind."""

@@ -16,7 +16,7 @@ STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need n
 # the interval is longer than that, the tool rises before the second one
 CONFIRMATION_TAUS = 0.5
 BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
-INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted
+INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and two pending ones do not agree
 INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
 
 
@@ -44,7 +44,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
     further = estimate.height_m + innovation_m - last_height
     # on ground of 45 degrees the outliers of a slow sensor go on in their direction by their travel
-    tolerance = gate_m + travel_m if further * innovation_m > 0.0 else gate_m
+    tolerance = INNER_GATE * gate_m + (travel_m if further * innovation_m > 0.0 else 0.0)
     if gate.pending > 0 and abs(further) < tolerance:
         gate.pending += 1
         gate.pending_travel_m += travel_m
