@@ -81,20 +81,20 @@ from surffollow.shm.layout_follow import (
 
 
 @jit
-def distance_ahead(params, adaptive, pose, pose_t_ns):
+def distance_ahead(params, adaptive, sense):
     """Distance from the newest footprint to the point under the tool when the demand acts [m].
 
     Parameters
     ----------
-    params, adaptive : records of `Params`, `AdaptiveState`
-    pose : (7,) float64  newest pose reported, x y z [m] and quaternion
-    pose_t_ns : int64    its timestamp
+    params, adaptive, sense : records of `Params`, `AdaptiveState`, `SenseState`
     """
-    kinematics, sample = adaptive.kinematics, adaptive.sample
+    kinematics, sample, newest = adaptive.kinematics, adaptive.sample, (sense.pose_count - 1) & (POSES - 1)
     if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0.0
-    gap_x, gap_y = pose[0] + sample.tip_x_m - sample.x_m, pose[1] + sample.tip_y_m - sample.y_m
-    delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + mean_wait_s(params, adaptive.controller)
+    gap_x = sense.pose[7 * newest] + sample.tip_x_m - sample.x_m
+    gap_y = sense.pose[7 * newest + 1] + sample.tip_y_m - sample.y_m
+    age_ns = adaptive.clock.now_ns - sense.pose_t_ns[newest]
+    delay_s = age_ns * 1e-9 + mean_wait_s(params, adaptive.controller)
     return distance_along(kinematics, gap_x, gap_y) + kinematics.speed_mps * delay_s
 
 
@@ -234,8 +234,8 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         mark_dryrun(setpoint, 0)
         release_setpoint(setpoint)
         release_attitude(adaptive.attitude)
-    standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
-    ahead = distance_ahead(params, adaptive, pose, pose_t_ns)
+    standoff = standoff_height(params, adaptive.plane, sense, orients)
+    ahead = distance_ahead(params, adaptive, sense)
     observe_report(controller, sense.pose_count, clock.now_ns)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff)
     if due:
