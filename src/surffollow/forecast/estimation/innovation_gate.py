@@ -4,6 +4,8 @@ A step toward the tool is confirmed by agreeing samples, a step away from it als
 because it may be a slot. The distance depends on the likelihood of slots: slots end, steps stay.
 """
 
+import math
+
 from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
@@ -112,19 +114,12 @@ def is_slow(adaptive):
 
 
 @jit
-def raised_by_withheld(adaptive, target_m, standoff_m):
-    """Setpoint, raised for a nearer sample of a slow sensor that waits for a second one [m].
-
-    Parameters
-    ----------
-    adaptive : record of `AdaptiveState`
-    target_m : float64    the setpoint [m]
-    standoff_m : float64  desired height of the tool above the ground [m]
-    """
+def withheld_setpoint(adaptive, standoff_m):
+    """Setpoint over a nearer sample of a slow sensor that waits for a second one [m]; −∞: there is none."""
     gate = adaptive.gate
     if gate.withheld_m == 0.0 or not is_slow(adaptive):
-        return target_m
-    return max(target_m, adaptive.estimate.height_m + gate.withheld_m + standoff_m)
+        return -math.inf
+    return adaptive.estimate.height_m + gate.withheld_m + standoff_m
 
 
 @jit
