@@ -20,12 +20,58 @@ CONFIRMATION_TAUS = 0.5
 BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted
 INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
+INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
+AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
+PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
+# decisions about a sample: inside the gate; beyond the inner gate; outside; a step is confirmed;
+# the sample before and this one agree against the first; more samples are pending than accepted
+ACCEPT, HOLD, PENDING, STEP, FIRST_WRONG, OUTVOTED = range(6)
 
 
 @jit
 def update_scale(gate, innovation_m, gate_m):
     """Update the usual innovation."""
     gate.scale_m += SCALE_RATE * (1.25 * min(abs(innovation_m), gate_m) - gate.scale_m)
+
+
+@jit
+def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
+    """Decide about a sample, from ACCEPT to OUTVOTED; returns the width of the gate, too.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`gate` updated)
+    innovation_m : float64  innovation ν of the sample [m]
+    travel_m : float64      distance travelled d since the sample before [m]
+    steepest_m : float64    greatest change of the ground since the last accepted sample [m]
+    gap : bool              the samples paused before: a step needs no travel
+
+    Returns
+    -------
+    int64, float64 [m]
+
+    Notes
+    -----
+    With u = max(`gate_scales` · usual |ν|, `gate_m`) and plausible = 0.2 d, or `steepest_m` while no slope is
+    known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible change exceeds u.
+    """
+    gate, samples = adaptive.gate, adaptive.estimate.samples
+    usual, sparse_m = gate_width(params, gate), PLAUSIBLE_SLOPE * travel_m
+    plausible = sparse_m if samples >= INITIALISATION_SAMPLES else steepest_m
+    width = max(usual, plausible)
+    # while no slope is known, samples of nearer ground count on their own
+    sparse = (plausible if innovation_m > 0.0 else sparse_m) > usual
+    before = gate.unconfirmed_m
+    if not sparse and needs_second_sample(adaptive, innovation_m, width):
+        return HOLD, width
+    agree = abs(innovation_m - before) < AGREEMENT_SHARE * abs(innovation_m)
+    if samples == 1 and before != 0.0 and agree:
+        return FIRST_WRONG, width
+    if not abs(innovation_m) > width:  # NaN too: the cycle then begins without knowledge
+        return ACCEPT, width
+    if not hold_pending(params, adaptive, innovation_m, travel_m, width, gap):
+        return PENDING, width
+    return OUTVOTED if gate.pending > samples else STEP, width
 
 
 @jit

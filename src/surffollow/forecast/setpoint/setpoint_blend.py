@@ -2,8 +2,7 @@
 
 import math
 
-from surffollow.forecast.estimation.estimate import INITIALISATION_SAMPLES
-from surffollow.forecast.estimation.innovation_gate import is_slow, withheld_setpoint
+from surffollow.forecast.estimation.innovation_gate import INITIALISATION_SAMPLES, is_slow, withheld_setpoint
 from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
     WAVES,
