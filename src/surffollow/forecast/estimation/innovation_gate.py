@@ -87,10 +87,21 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
     travel_m : float64      distance travelled since the sample before [m]
     gate_m : float64        width of the gate [m]
     gap : bool              the samples paused before: a step needs no travel
+
+    Notes
+    -----
+    With the likelihood of slots ρ, the sensor's interval T, the axis' time constant τ and n = `step_samples`:
+
+        need = (2 if ρ < 0.2 or n T > τ/2, else n) + min(outliers that agreed with none, τ / (4 T))
+        is_step = ν > 0, or travel ≥ ρ · `step_travel`, or time ≥ 120 ms, or pending > accepted samples
+
+    A step is confirmed when pending ≥ need and is_step.
     """
     gate, estimate = adaptive.gate, adaptive.estimate
+    tau_s, interval_s = adaptive.plant.tau_s, adaptive.prediction.interval_s
+    height_m = estimate.height_m + innovation_m
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
-    further = estimate.height_m + innovation_m - last_height
+    further = height_m - last_height
     # on ground of 45 degrees the outliers of a slow sensor go on in their direction by their travel
     tolerance = gate_m + travel_m if further * innovation_m > 0.0 else gate_m
     if gate.pending > 0 and abs(further) < tolerance:
@@ -105,27 +116,20 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
         gate.pending_ns = estimate.sample_ns
     gate.pending_innovation_m += innovation_m
     gate.pending_arc_length_m += estimate.arc_length_m
-    gate.pending_height_m += estimate.height_m + innovation_m
+    gate.pending_height_m += height_m
     slot = (gate.pending - 1) & (PENDING_HEIGHTS - 1)
-    gate.kept_arc_length_m[slot], gate.kept_height_m[slot] = (
-        estimate.arc_length_m,
-        estimate.height_m + innovation_m,
-    )
+    gate.kept_arc_length_m[slot], gate.kept_height_m[slot] = estimate.arc_length_m, height_m
     # two samples are enough where steps have stayed, and where a third one comes late
-    long = params.step_samples * adaptive.prediction.interval_s > CONFIRMATION_TAUS * adaptive.plant.tau_s
-    few = gate.slot_likelihood < PERMANENT_STEPS or long
-    need = min(params.step_samples, 2) if few else params.step_samples
+    late = params.step_samples * interval_s > CONFIRMATION_TAUS * tau_s
+    two = late or gate.slot_likelihood < PERMANENT_STEPS
     # in a burst of wrong readings some agree by chance
-    more = min(
-        gate.rejected, int(BURST_TAUS * adaptive.plant.tau_s / max(adaptive.prediction.interval_s, 1e-6))
-    )
-    if gate.pending < need + more:
-        return False
-    if innovation_m > 0.0 or gate.pending_travel_m >= params.step_travel_m * gate.slot_likelihood:
-        return True
-    # more pending samples than accepted ones: the start was bad; at rest there is no travel
-    outvoted = gate.pending > estimate.samples
-    return outvoted or estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS
+    by_chance = min(gate.rejected, int(BURST_TAUS * tau_s / max(interval_s, 1e-6)))
+    need = (min(params.step_samples, 2) if two else params.step_samples) + by_chance
+    # a step away from the tool may be a slot; with a bad start, and at rest, there is no travel
+    travelled = gate.pending_travel_m >= params.step_travel_m * gate.slot_likelihood
+    stood = estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS
+    is_step = innovation_m > 0.0 or travelled or stood or gate.pending > estimate.samples
+    return gate.pending >= need and is_step
 
 
 @jit
