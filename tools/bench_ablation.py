@@ -155,7 +155,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "burn-in of chance": [("model_weights", "BURN_IN_CHANCE_FACTOR = 4.0", "BURN_IN_CHANCE_FACTOR = 1.0")],
     "more samples in a burst": [("innovation_gate", "BURST_TAUS = 0.25", "BURST_TAUS = 0.0")],
-    "wider gate of sparse samples": [("estimate", "PLAUSIBLE_SLOPE = 0.2", "PLAUSIBLE_SLOPE = 0.0")],
+    "wider gate of sparse samples": [("innovation_gate", "PLAUSIBLE_SLOPE = 0.2", "PLAUSIBLE_SLOPE = 0.0")],
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],

@@ -62,6 +62,7 @@ STAGES = (
     "target_of_blend",
     "plan_period",
     "target_of_preview",
+    "permitted_setpoint",
     "limit_setpoint",
     "demand_rotation",
     "record_own_setpoint",

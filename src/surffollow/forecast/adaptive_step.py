@@ -7,8 +7,6 @@ import math
 
 from surffollow.forecast.attitude.attitude import demand_rotation, publish_normal, release_attitude
 from surffollow.forecast.estimation.adaptation import publish_adaptation
-from surffollow.forecast.estimation.estimate import INITIALISATION_SAMPLES
-from surffollow.forecast.estimation.innovation_gate import raised_by_withheld
 from surffollow.forecast.fold_back import PROBE_M, limit
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.plant.controller_clock import (
@@ -26,12 +24,7 @@ from surffollow.forecast.plant.plant_identification import (
 )
 from surffollow.forecast.reset import reset_all, reset_timestamps
 from surffollow.forecast.sensing.clock import update_clock
-from surffollow.forecast.sensing.health import (
-    is_lost,
-    is_stuck,
-    latch_fault,
-    update_health,
-)
+from surffollow.forecast.sensing.health import is_lost, is_stuck, latch_fault, update_health
 from surffollow.forecast.sensing.kinematics import (
     MIN_DIRECTION_SPEED_MPS,
     distance_along,
@@ -39,15 +32,10 @@ from surffollow.forecast.sensing.kinematics import (
     update_kinematics,
 )
 from surffollow.forecast.sensing.measurement import process_sample, standoff_height
-from surffollow.forecast.sensing.response import is_unresponsive, raised_target
+from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.forecast.setpoint.preview_control import plan_setpoint
-from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, dropout_s, filter_setpoint
-from surffollow.forecast.setpoint.setpoint_limits import (
-    CONFIRMED_SAMPLES,
-    limit_setpoint,
-    mark_dryrun,
-    release_setpoint,
-)
+from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, filter_setpoint, permitted_setpoint
+from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint, mark_dryrun, release_setpoint
 from surffollow.forecast.terrain.known_ground import lowest_plan, reset_known_ground
 from surffollow.forecast.terrain.lookahead_sensor import observe_lookahead
 from surffollow.forecast.terrain.preview import (
@@ -81,20 +69,20 @@ from surffollow.shm.layout_follow import (
 
 
 @jit
-def distance_ahead(params, adaptive, pose, pose_t_ns):
+def distance_ahead(params, adaptive, sense):
     """Distance from the newest footprint to the point under the tool when the demand acts [m].
 
     Parameters
     ----------
-    params, adaptive : records of `Params`, `AdaptiveState`
-    pose : (7,) float64  newest pose reported, x y z [m] and quaternion
-    pose_t_ns : int64    its timestamp
+    params, adaptive, sense : records of `Params`, `AdaptiveState`, `SenseState`
     """
-    kinematics, sample = adaptive.kinematics, adaptive.sample
+    kinematics, sample, newest = adaptive.kinematics, adaptive.sample, (sense.pose_count - 1) & (POSES - 1)
     if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0.0
-    gap_x, gap_y = pose[0] + sample.tip_x_m - sample.x_m, pose[1] + sample.tip_y_m - sample.y_m
-    delay_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + mean_wait_s(params, adaptive.controller)
+    gap_x = sense.pose[7 * newest] + sample.tip_x_m - sample.x_m
+    gap_y = sense.pose[7 * newest + 1] + sample.tip_y_m - sample.y_m
+    age_ns = adaptive.clock.now_ns - sense.pose_t_ns[newest]
+    delay_s = age_ns * 1e-9 + mean_wait_s(params, adaptive.controller)
     return distance_along(kinematics, gap_x, gap_y) + kinematics.speed_mps * delay_s
 
 
@@ -194,13 +182,8 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     -----
     Needs a pose. The demand adds to the newest pose reported, `output.pose_t_ns`.
     """
-    clock, kinematics, health, estimate = (
-        adaptive.clock,
-        adaptive.kinematics,
-        adaptive.health,
-        adaptive.estimate,
-    )
-    controller, setpoint = adaptive.controller, adaptive.setpoint
+    clock, kinematics, health = adaptive.clock, adaptive.kinematics, adaptive.health
+    estimate, controller, setpoint = adaptive.estimate, adaptive.controller, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
     orients = params.orient != 0 and params.n_channels >= 3
@@ -218,9 +201,6 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     if has_jumped(kinematics, clock.now_ns):
         withdraw_preview(adaptive.preview)
         reset_known_ground(adaptive.known)
-    status = VALID
-    if health.state == DROPOUT or health.state == OUT_OF_RANGE or health.state == STUCK:
-        status |= NO_SENSOR
     if stuck:
         latch_fault(health, FAULT_STUCK)
         withdraw_preview(adaptive.preview)
@@ -229,32 +209,27 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
             latch_fault(health, FAULT_LOST)
         release_setpoint(setpoint)
         withdraw_preview(adaptive.preview)
-        return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
+        return NO_SENSOR | SENSOR_LOST
     if setpoint.in_dryrun != 0 and params.run != RUN_DRYRUN:  # setpoints of DRYRUN were not applied
         mark_dryrun(setpoint, 0)
         release_setpoint(setpoint)
         release_attitude(adaptive.attitude)
-    standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
-    ahead = distance_ahead(params, adaptive, pose, pose_t_ns)
+    standoff = standoff_height(params, adaptive.plane, sense, orients)
+    ahead = distance_ahead(params, adaptive, sense)
     observe_report(controller, sense.pose_count, clock.now_ns)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff)
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff)
     target = target_of_preview(params, adaptive, target, standoff)
-    few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
-    if estimate.samples < INITIALISATION_SAMPLES or few:
-        target = max(target, tool_z)  # no descent over ground that is hardly known
-    target = raised_target(adaptive.response, raised_by_withheld(adaptive, target, standoff))
-    if stuck:  # ground that is not seen may rise as steeply as it did before
-        rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
-        target = max(target, tool_z + rise_mps * adaptive.plant.tau_s)
-    if estimate.frame < kinematics.jump_pose and kinematics.jump_ns <= clock.now_ns:
-        target = tool_z  # heights are in the frame before the jump
+    target = permitted_setpoint(adaptive, target, tool_z, standoff, stuck)
     limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
         reset_all(params, adaptive)
-        return (status & ~VALID) | NO_SENSOR | SENSOR_LOST
+        return NO_SENSOR | SENSOR_LOST
+    status = VALID
+    if health.state in (DROPOUT, OUT_OF_RANGE, STUCK):
+        status |= NO_SENSOR
     limited = limit(demand, params.max_demand_m)
     if limited != demand:
         status |= LIMITED

@@ -3,13 +3,18 @@
 import math
 
 from surffollow.forecast.estimation.innovation_gate import (
+    FIRST_WRONG,
+    HOLD,
+    INITIALISATION_SAMPLES,
     INNER_GATE,
+    OUTVOTED,
+    PENDING,
+    STEP,
     accept_sample,
     discard_slots,
+    gate_sample,
     gate_width,
-    hold_pending,
     initialise_gate,
-    needs_second_sample,
     register_step,
     reset_gate,
     update_scale,
@@ -49,13 +54,10 @@ from surffollow.forecast.terrain.terrain_regression import reset_mean, update_re
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
-AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
 # after a start and after a loss the performance index waits until setpoints have acted
 INITIAL_SETTLING_NS, SETTLING_NS = 60_000_000, 150_000_000
 GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
-PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
-INITIAL_PLAUSIBLE_SLOPE = 1.0  # the same while the slope is not known, and for nearer samples on their own
+STEEPEST_SLOPE = 1.0  # of the ground, over the travel since the last accepted sample
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
@@ -196,13 +198,10 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     """
     noise, gate, bank, estimate = adaptive.noise, adaptive.gate, adaptive.bank, adaptive.estimate
     kinematics = adaptive.kinematics
-    dt = (t_ns - estimate.sample_ns) * 1e-9
-    if (
-        estimate.samples == 0
-        or travel_m > MAX_TRAVEL_M
-        or (estimate.frame < kinematics.climb_jump_pose and t_ns >= kinematics.jump_ns)
-        or t_ns - estimate.accepted_ns > params.loss_timeout_ns
-    ):
+    dt, since_accepted_ns = (t_ns - estimate.sample_ns) * 1e-9, t_ns - estimate.accepted_ns
+    other_frame = estimate.frame < kinematics.climb_jump_pose and t_ns >= kinematics.jump_ns
+    outdated = travel_m > MAX_TRAVEL_M or since_accepted_ns > params.loss_timeout_ns
+    if estimate.samples == 0 or outdated or other_frame:
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
         return True
     gap = t_ns - estimate.sample_ns > max(GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
@@ -214,34 +213,19 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     propagate_bank(bank, travel)
     estimate.height_m = blend_height(adaptive)
     innovation = h_m - estimate.height_m
-    plausible = PLAUSIBLE_SLOPE * travel
-    steepest = INITIAL_PLAUSIBLE_SLOPE * travel * ((t_ns - estimate.accepted_ns) * 1e-9 / dt)
-    if estimate.samples < INITIALISATION_SAMPLES:  # no slope is known
-        plausible = steepest
-    width = max(gate_width(params, gate), plausible)
+    steepest = STEEPEST_SLOPE * travel * (since_accepted_ns * 1e-9 / dt)
     update_travel(params, gate, travel)
-    unconfirmed = gate.unconfirmed_m
-    # the next one is far away: each counts; with few samples those of nearer ground do
-    sparse = (plausible if innovation > 0.0 else PLAUSIBLE_SLOPE * travel) > gate_width(params, gate)
-    if not sparse and needs_second_sample(adaptive, innovation, width):
-        if adapt and estimate.samples > 1:
-            update_scale(gate, innovation, width)  # frequent ones mean rough ground
+    decision, width = gate_sample(params, adaptive, innovation, travel, steepest, gap)
+    if decision == HOLD and adapt and estimate.samples > 1:
+        update_scale(gate, innovation, width)  # frequent ones mean rough ground
+    if decision in (HOLD, PENDING):
         withhold_sample(gate, innovation, steepest)
         return False
-    if (
-        estimate.samples == 1
-        and unconfirmed != 0.0
-        and abs(innovation - unconfirmed) < AGREEMENT_SHARE * abs(innovation)
-    ):
-        restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt)
+    if decision in (FIRST_WRONG, OUTVOTED):
+        first_m = h_m if decision == FIRST_WRONG else gate.pending_height_m / gate.pending
+        restart_estimate(params, adaptive, t_ns, first_m, standoff_m, adapt)
         return True
-    if abs(innovation) > width:
-        if not hold_pending(params, adaptive, innovation, travel, width, gap):
-            withhold_sample(gate, innovation, steepest)
-            return False
-        if gate.pending > estimate.samples:
-            restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
-            return True
+    if decision == STEP:
         confirm_step(params, adaptive)
         innovation = h_m - estimate.height_m
     else:

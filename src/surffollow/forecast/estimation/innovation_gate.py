@@ -4,6 +4,8 @@ A step toward the tool is confirmed by agreeing samples, a step away from it als
 because it may be a slot. The distance depends on the likelihood of slots: slots end, steps stay.
 """
 
+import math
+
 from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
@@ -18,12 +20,58 @@ CONFIRMATION_TAUS = 0.5
 BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and two pending ones do not agree
 INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
+INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
+AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
+PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
+# decisions about a sample: inside the gate; beyond the inner gate; outside; a step is confirmed;
+# the sample before and this one agree against the first; more samples are pending than accepted
+ACCEPT, HOLD, PENDING, STEP, FIRST_WRONG, OUTVOTED = range(6)
 
 
 @jit
 def update_scale(gate, innovation_m, gate_m):
     """Update the usual innovation."""
     gate.scale_m += SCALE_RATE * (1.25 * min(abs(innovation_m), gate_m) - gate.scale_m)
+
+
+@jit
+def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
+    """Decide about a sample, from ACCEPT to OUTVOTED; returns the width of the gate, too.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`gate` updated)
+    innovation_m : float64  innovation ν of the sample [m]
+    travel_m : float64      distance travelled d since the sample before [m]
+    steepest_m : float64    greatest change of the ground since the last accepted sample [m]
+    gap : bool              the samples paused before: a step needs no travel
+
+    Returns
+    -------
+    int64, float64 [m]
+
+    Notes
+    -----
+    With u = max(`gate_scales` · usual |ν|, `gate_m`) and plausible = 0.2 d, or `steepest_m` while no slope is
+    known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible change exceeds u.
+    """
+    gate, samples = adaptive.gate, adaptive.estimate.samples
+    usual, sparse_m = gate_width(params, gate), PLAUSIBLE_SLOPE * travel_m
+    plausible = sparse_m if samples >= INITIALISATION_SAMPLES else steepest_m
+    width = max(usual, plausible)
+    # while no slope is known, samples of nearer ground count on their own
+    sparse = (plausible if innovation_m > 0.0 else sparse_m) > usual
+    before = gate.unconfirmed_m
+    if not sparse and needs_second_sample(adaptive, innovation_m, width):
+        return HOLD, width
+    agree = abs(innovation_m - before) < AGREEMENT_SHARE * abs(innovation_m)
+    if samples == 1 and before != 0.0 and agree:
+        return FIRST_WRONG, width
+    if not abs(innovation_m) > width:  # NaN too: the cycle then begins without knowledge
+        return ACCEPT, width
+    if not hold_pending(params, adaptive, innovation_m, travel_m, width, gap):
+        return PENDING, width
+    return OUTVOTED if gate.pending > samples else STEP, width
 
 
 @jit
@@ -39,10 +87,21 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
     travel_m : float64      distance travelled since the sample before [m]
     gate_m : float64        width of the gate [m]
     gap : bool              the samples paused before: a step needs no travel
+
+    Notes
+    -----
+    With the likelihood of slots ρ, the sensor's interval T, the axis' time constant τ and n = `step_samples`:
+
+        need = (2 if ρ < 0.2 or n T > τ/2, else n) + min(outliers that agreed with none, τ / (4 T))
+        is_step = ν > 0, or travel ≥ ρ · `step_travel`, or time ≥ 120 ms, or pending > accepted samples
+
+    A step is confirmed when pending ≥ need and is_step.
     """
     gate, estimate = adaptive.gate, adaptive.estimate
+    tau_s, interval_s = adaptive.plant.tau_s, adaptive.prediction.interval_s
+    height_m = estimate.height_m + innovation_m
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
-    further = estimate.height_m + innovation_m - last_height
+    further = height_m - last_height
     # on ground of 45 degrees the outliers of a slow sensor go on in their direction by their travel
     tolerance = INNER_GATE * gate_m + (travel_m if further * innovation_m > 0.0 else 0.0)
     if gate.pending > 0 and abs(further) < tolerance:
@@ -57,27 +116,20 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
         gate.pending_ns = estimate.sample_ns
     gate.pending_innovation_m += innovation_m
     gate.pending_arc_length_m += estimate.arc_length_m
-    gate.pending_height_m += estimate.height_m + innovation_m
+    gate.pending_height_m += height_m
     slot = (gate.pending - 1) & (PENDING_HEIGHTS - 1)
-    gate.kept_arc_length_m[slot], gate.kept_height_m[slot] = (
-        estimate.arc_length_m,
-        estimate.height_m + innovation_m,
-    )
+    gate.kept_arc_length_m[slot], gate.kept_height_m[slot] = estimate.arc_length_m, height_m
     # two samples are enough where steps have stayed, and where a third one comes late
-    long = params.step_samples * adaptive.prediction.interval_s > CONFIRMATION_TAUS * adaptive.plant.tau_s
-    few = gate.slot_likelihood < PERMANENT_STEPS or long
-    need = min(params.step_samples, 2) if few else params.step_samples
+    late = params.step_samples * interval_s > CONFIRMATION_TAUS * tau_s
+    two = late or gate.slot_likelihood < PERMANENT_STEPS
     # in a burst of wrong readings some agree by chance
-    more = min(
-        gate.rejected, int(BURST_TAUS * adaptive.plant.tau_s / max(adaptive.prediction.interval_s, 1e-6))
-    )
-    if gate.pending < need + more:
-        return False
-    if innovation_m > 0.0 or gate.pending_travel_m >= params.step_travel_m * gate.slot_likelihood:
-        return True
-    # more pending samples than accepted ones: the start was bad; at rest there is no travel
-    outvoted = gate.pending > estimate.samples
-    return outvoted or estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS
+    by_chance = min(gate.rejected, int(BURST_TAUS * tau_s / max(interval_s, 1e-6)))
+    need = (min(params.step_samples, 2) if two else params.step_samples) + by_chance
+    # a step away from the tool may be a slot; with a bad start, and at rest, there is no travel
+    travelled = gate.pending_travel_m >= params.step_travel_m * gate.slot_likelihood
+    stood = estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS
+    is_step = innovation_m > 0.0 or travelled or stood or gate.pending > estimate.samples
+    return gate.pending >= need and is_step
 
 
 @jit
@@ -112,19 +164,12 @@ def is_slow(adaptive):
 
 
 @jit
-def raised_by_withheld(adaptive, target_m, standoff_m):
-    """Setpoint, raised for a nearer sample of a slow sensor that waits for a second one [m].
-
-    Parameters
-    ----------
-    adaptive : record of `AdaptiveState`
-    target_m : float64    the setpoint [m]
-    standoff_m : float64  desired height of the tool above the ground [m]
-    """
+def withheld_setpoint(adaptive, standoff_m):
+    """Setpoint over a nearer sample of a slow sensor that waits for a second one [m]; −∞: there is none."""
     gate = adaptive.gate
     if gate.withheld_m == 0.0 or not is_slow(adaptive):
-        return target_m
-    return max(target_m, adaptive.estimate.height_m + gate.withheld_m + standoff_m)
+        return -math.inf
+    return adaptive.estimate.height_m + gate.withheld_m + standoff_m
 
 
 @jit

@@ -35,10 +35,16 @@ from surffollow.shm.layout_follow import POSES, RUN_FREEZE, RUN_NORMAL
 
 
 @jit
-def axis_ground_point(params, pose):
+def axis_ground_point(params, pose, at):
     """Point of the tool's axis that should touch the ground, from the tool, in world axes [m].
 
     The axis is that of the tool's frame which is nearest to channel 0's beam.
+
+    Parameters
+    ----------
+    params : record of `Params`
+    pose : (≥ at + 7,) float64  x y z [m], qx qy qz qw
+    at : int                    index of the first number
     """
     m = params.tool_from_sensor
     x, y, z = rotate(m[3], m[4], m[5], m[6], 0.0, 0.0, -params.offset_m)
@@ -47,26 +53,23 @@ def axis_ground_point(params, pose):
     x = m[0] + x if along_x else 0.0
     y = 0.0 if along_x or along_z else m[1] + y
     z = m[2] + z if along_z else 0.0
-    return rotate(pose[3], pose[4], pose[5], pose[6], x, y, z)
+    return rotate(pose[at + 3], pose[at + 4], pose[at + 5], pose[at + 6], x, y, z)
 
 
 @jit
-def standoff_height(params, plane, sense, orients, pose):
-    """Desired height of the tool above the ground point on its axis [m].
+def standoff_height(params, plane, sense, orients):
+    """Desired height of the tool, in the newest pose reported, above the ground point on its axis [m].
 
     Parameters
     ----------
     params, plane, sense : records of `Params`, `Plane`, `SenseState`
-    orients : bool       three or more sensors, and the tool is rotated to the surface normal
-    pose : (7,) float64  scratch; holds the newest report afterwards
+    orients : bool  three or more sensors, and the tool is rotated to the surface normal
     """
-    newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
-    for i in range(7):
-        pose[i] = sense.pose[newest + i]
+    pose, at = sense.pose, 7 * ((sense.pose_count - 1) & (POSES - 1))
     if not orients:
-        _, _, tip_z = axis_ground_point(params, pose)
+        _, _, tip_z = axis_ground_point(params, pose, at)
         return -tip_z
-    tx, ty, tz = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
+    tx, ty, tz = rotate(pose[at + 3], pose[at + 4], pose[at + 5], pose[at + 6], 0.0, 0.0, 1.0)
     along = tz - plane.slope_x * tx - plane.slope_y * ty  # (tool axis · normal) over the normal's z
     return (params.offset_m - params.tool_from_sensor[2]) * along
 
@@ -78,94 +81,182 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     Parameters
     ----------
     params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
-    orients : bool           three or more sensors and the tool is rotated to the surface normal
-    pose : (7,) float64      scratch: the pose at the sample's time
+    orients : bool       three or more sensors and the tool is rotated to the surface normal
+    pose : (7,) float64  scratch: the pose at the sample's time
+
+    Notes
+    -----
+    The newest pose reported gives the desired height and the sample's place in the preview.
     """
-    kinematics, hold, latency, sample, health = (
-        adaptive.kinematics,
-        adaptive.hold,
-        adaptive.latency,
-        adaptive.sample,
-        adaptive.health,
-    )
-    estimate, beams = adaptive.estimate, adaptive.beams
+    kinematics, sample = adaptive.kinematics, adaptive.sample
+    is_new, channel, range_m, t = take_sample(params, adaptive, sense, inputs, output, orients, pose)
+    if not is_new:
+        return
+    responds, t = observe_sensor(params, adaptive, sense, t, range_m, orients, pose)
+    if t <= adaptive.estimate.sample_ns or not responds:
+        return
+    x, y, h, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
+    close = count_close(adaptive.health, range_m < params.too_close_m)
+    if close or fold.close != 0:
+        watch_fold_back(fold, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
+    adapt = params.adapt != 0 and params.run != RUN_FREEZE
+    at_rest = kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS
+    if orients:
+        x, y = pose[0], pose[1]
+        accepted, h = observe_plane(params, adaptive, output, t, pose)
+        if accepted == 0:
+            return
+    elif at_rest or adaptive.latency.count > 0:
+        observe_height(adaptive, sense, t, h, at_rest, adapt, pose)
+        predict_pose(kinematics, sense, t, pose)  # the regression needs other poses
+    travel = advance_path(params, adaptive, t, x, y, orients, pose)
+    standoff = standoff_height(params, adaptive.plane, sense, orients)
+    if not enter_sample(params, adaptive, t, travel, h, standoff, pose[2], adapt):
+        return
+    if inputs.n_preview > 0 and not at_rest:
+        newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
+        gap_x, gap_y = x - sense.pose[newest], y - sense.pose[newest + 1]
+        ahead = distance_along(kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
+        compare_map(adaptive, inputs, ahead, h)
+    if not orients:
+        output.fresh |= 1
+        output.target_m[0], output.target_m[1], output.target_m[2] = x, y, h
+
+
+@jit
+def take_sample(params, adaptive, sense, inputs, output, orients, pose):
+    """Whether there is a new sample, its channel, range and timestamp; one sensor is not mapped yet.
+
+    Parameters
+    ----------
+    params, adaptive, sense, inputs, output, orients : as in `process_sample`
+    pose : (7,) float64  scratch
+
+    Returns
+    -------
+    bool, int64, float64 [m], int64 [ns]
+    """
     channel = 0
     if orients:
-        if inputs.n_ranges > 0 and sense.fresh[beams.reference] != 0:
-            observe_timestamp(adaptive, sense.range_t_ns[beams.reference])
+        reference = adaptive.beams.reference
+        if inputs.n_ranges > 0 and sense.fresh[reference] != 0:
+            observe_timestamp(adaptive, sense.range_t_ns[reference])
         channel = observe_beams(params, adaptive, sense, pose)
     else:
         output.fresh &= ~1
     if channel < 0:
-        return
+        return False, channel, 0.0, 0
     is_new, range_m, t = new_sample(params, adaptive, sense, inputs.n_ranges, channel, orients)
-    if not is_new:
-        return
-    update_prediction(adaptive.prediction, t, range_m)
-    repeated = repeats_range(health, range_m)
-    if orients and any_beam_changed(beams, params.n_channels, hold.t_ns):
-        repeated = False
-    record_sample(hold, t, range_m)
+    return is_new, channel, range_m, t
+
+
+@jit
+def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
+    """Test the sensor with a sample: whether it responds, and the sample's time less the latency.
+
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
+    t_ns : int64         timestamp of the sample
+    range_m : float64    its range [m]
+    orients : bool       as in `process_sample`
+    pose : (7,) float64  receives the pose at the sample's time
+
+    Returns
+    -------
+    bool, int64 [ns]
+    """
+    health, response, beams, hold = adaptive.health, adaptive.response, adaptive.beams, adaptive.hold
+    update_prediction(adaptive.prediction, t_ns, range_m)
+    changed = orients and any_beam_changed(beams, params.n_channels, hold.t_ns)
+    repeated = repeats_range(health, range_m) and not changed
+    record_sample(hold, t_ns, range_m)
     if not orients:  # beams have timestamps of their own, without correction
-        t -= int(latency.correction_s * 1e9)
-    update_delay(latency, (adaptive.clock.now_ns - t) * 1e-9)
-    predict_pose(kinematics, sense, t, pose)
-    was_stuck = is_stuck_permanently(adaptive) or is_unresponsive(adaptive.response)
+        t_ns -= int(adaptive.latency.correction_s * 1e9)
+    update_delay(adaptive.latency, (adaptive.clock.now_ns - t_ns) * 1e-9)
+    predict_pose(adaptive.kinematics, sense, t_ns, pose)
+    was_stuck = is_stuck_permanently(adaptive) or is_unresponsive(response)
     update_stuck(adaptive, repeated, range_m, pose[2])
     gap_s = dropout_tolerance_s(adaptive.prediction) + MAX_GAP_NS * 1e-9
-    mean_m = mean_range(beams, params.n_channels, t, range_m) if orients else range_m
-    observe_response(params, adaptive, t, mean_m, pose[2], gap_s)
-    now_stuck = is_stuck(health) or is_unresponsive(adaptive.response)
-    if was_stuck and not now_stuck:
-        discard_estimate(estimate)
-    if t <= estimate.sample_ns or now_stuck:
-        return
-    adapt = params.adapt != 0 and params.run != RUN_FREEZE
-    x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
-    at_rest = kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS
-    if not orients and (at_rest or latency.count > 0):
-        observe_height(adaptive, sense, t, z, at_rest, adapt, pose)
-        predict_pose(kinematics, sense, t, pose)
-    close = count_close(health, range_m < params.too_close_m)
-    if close or fold.close != 0:
-        watch_fold_back(fold, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
-    tool_x, tool_y, tool_z = pose[0], pose[1], pose[2]
-    if orients:
-        accepted, z = plane_height(params, adaptive, t, tool_x, tool_y)
-        if accepted == 0:
-            return
-        observe_rotation(params, adaptive, t, pose)
-        x, y = tool_x, tool_y
+    mean_m = mean_range(beams, params.n_channels, t_ns, range_m) if orients else range_m
+    observe_response(params, adaptive, t_ns, mean_m, pose[2], gap_s)
+    responds = not (is_stuck(health) or is_unresponsive(response))
+    if was_stuck and responds:
+        discard_estimate(adaptive.estimate)
+    return responds, t_ns
+
+
+@jit
+def observe_plane(params, adaptive, output, t_ns, pose):
+    """Number of accepted beams and the height under the tool; excluded beams are not mapped.
+
+    Parameters
+    ----------
+    params, adaptive, output : records of `Params`, `AdaptiveState` (updated), `Output`
+    t_ns : int64         time of the sample
+    pose : (7,) float64  pose at that time
+
+    Returns
+    -------
+    int64, float64 [m]
+    """
+    accepted, h = plane_height(params, adaptive, t_ns, pose[0], pose[1])
+    if accepted > 0:
+        observe_rotation(params, adaptive, t_ns, pose)
         for c in range(params.n_channels):
-            if beams.accepted[c] == 0:
+            if adaptive.beams.accepted[c] == 0:
                 output.fresh &= ~(1 << c)
+    return accepted, h
+
+
+@jit
+def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
+    """Advance the path to a footprint; returns the distance travelled since the one before [m].
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`sample` updated)
+    t_ns : int64         time of the sample
+    x_m, y_m : float64   its footprint [m]
+    orients : bool       as in `process_sample`
+    pose : (7,) float64  pose at that time
+    """
+    kinematics, estimate, sample = adaptive.kinematics, adaptive.estimate, adaptive.sample
     sample.tip_x_m = sample.tip_y_m = 0.0
     if not orients:
-        sample.tip_x_m, sample.tip_y_m, _ = axis_ground_point(params, pose)
+        sample.tip_x_m, sample.tip_y_m, _ = axis_ground_point(params, pose, 0)
     if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
-        lead = distance_along(kinematics, x - tool_x - sample.tip_x_m, y - tool_y - sample.tip_y_m)
+        gap_x, gap_y = x_m - pose[0] - sample.tip_x_m, y_m - pose[1] - sample.tip_y_m
+        lead = distance_along(kinematics, gap_x, gap_y)
         sample.lead_m += (lead - sample.lead_m) * (USUAL_VALUE_RATE if estimate.samples > 0 else 1.0)
-    travel = kinematics.speed_mps * (t - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
+    travel = kinematics.speed_mps * (t_ns - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
     if estimate.samples > 0 and is_slow(adaptive):  # the tool may have turned since the sample before
-        travel = math.hypot(x - sample.x_m, y - sample.y_m)
-    follow_heading(adaptive, x, y)
-    standoff = standoff_height(params, adaptive.plane, sense, orients, pose)
+        travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
+    follow_heading(adaptive, x_m, y_m)
     sample.spacing_m += USUAL_VALUE_RATE * (travel - sample.spacing_m)
-    sample.x_m, sample.y_m, sample.arc_length_m = x, y, estimate.arc_length_m + travel
-    if compare_lookahead(adaptive, sample.arc_length_m, z):
+    sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, estimate.arc_length_m + travel
+    return travel
+
+
+@jit
+def enter_sample(params, adaptive, t_ns, travel_m, h_m, standoff_m, tool_z_m, adapt):
+    """Update the estimate and what depends on it; whether the sample entered.
+
+    Parameters
+    ----------
+    params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt : as in `update_estimate`
+    tool_z_m : float64  height of the tool at the sample's time [m]
+    """
+    sample = adaptive.sample
+    if compare_lookahead(adaptive, sample.arc_length_m, h_m):
         withdraw_preview(adaptive.preview)
-    if not update_estimate(params, adaptive, t, travel, z, standoff, adapt):
-        return
+    if not update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
+        return False
     if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
         update_deadband(params, adaptive)
     if abs(sample.lead_m) < MIN_LEAD_M and params.run == RUN_NORMAL:
-        monitor_error(adaptive, tool_z - standoff - z)
-    if inputs.n_preview > 0 and kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
-        ahead = distance_along(kinematics, x - pose[0] - sample.tip_x_m, y - pose[1] - sample.tip_y_m)
-        compare_map(adaptive, inputs, ahead, z)
-    if not orients:
-        output.fresh |= 1
-        output.target_m[0], output.target_m[1], output.target_m[2] = x, y, z
+        monitor_error(adaptive, tool_z_m - standoff_m - h_m)
+    return True
 
 
 @jit

@@ -1,8 +1,8 @@
-"""Blend the models' setpoints by weight and filter the blend with a deadband."""
+"""Blend the models' setpoints by weight, filter the blend with a deadband, and limit its descent."""
 
 import math
 
-from surffollow.forecast.estimation.innovation_gate import is_slow
+from surffollow.forecast.estimation.innovation_gate import INITIALISATION_SAMPLES, is_slow, withheld_setpoint
 from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
     WAVES,
@@ -13,7 +13,8 @@ from surffollow.forecast.plant.controller_clock import begin_period
 from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.measurement import has_turned_back
-from surffollow.forecast.setpoint.setpoint_limits import PAUSE_S
+from surffollow.forecast.sensing.response import raised_target
+from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, PAUSE_S
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit
 
@@ -157,3 +158,28 @@ def filter_setpoint(params, adaptive, target_m):
         remaining = adaptation.deadband_m + excess * softness / (softness + excess * dt / DEADBAND_DECAY_S)
         blend.filtered_m = target_m - math.copysign(remaining, e)
     return blend.filtered_m
+
+
+@jit
+def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, stuck):
+    """Setpoint, raised to the lowest one that is permitted [m].
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState`
+    target_m : float64    the setpoint [m]
+    tool_z_m : float64    height of the tool in the newest pose reported [m]
+    standoff_m : float64  desired height of the tool above the ground [m]
+    stuck : bool          the range does not respond to the tool's motion
+    """
+    estimate, kinematics = adaptive.estimate, adaptive.kinematics
+    if estimate.frame < kinematics.jump_pose and kinematics.jump_ns <= adaptive.clock.now_ns:
+        return tool_z_m  # heights are in the frame before the jump
+    few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
+    hardly_known = few or estimate.samples < INITIALISATION_SAMPLES
+    no_descent = tool_z_m if hardly_known else -math.inf
+    confirmed = max(target_m, no_descent, withheld_setpoint(adaptive, standoff_m))
+    # ground that is not seen may rise as steeply as it did before
+    rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
+    unseen = tool_z_m + rise_mps * adaptive.plant.tau_s if stuck else -math.inf
+    return max(raised_target(adaptive.response, confirmed), unseen)
