@@ -58,17 +58,15 @@ EXCURSIONS, EXCURSION_SEEDS = ("slot", "glitch"), 15
 # name: (module, text, its replacement) …
 VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "full": [],
-    "powers without sharpness": [
-        ("model_weights", "sharpness = noise_part * noise_part * progress * progress", "sharpness = 1.0")
-    ],
-    "chance penalty": [("model_weights", "chance = noise_part", "chance = 0.0 * noise_part")],
+    "powers without sharpness": [("model_weights", "(s * s * alpha * alpha)", "1.0")],
+    "chance penalty": [("model_weights", "chance = s * s", "chance = 0.0 * s * s")],
     "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],
     "burn-in of the index": [
         (
             "model_weights",
-            "burn_in, progress = min(weights.scored / needed, 1.0),",
-            "burn_in, progress = 1.0,",
+            "FULL_POWER_SAMPLES, min(weights.scored / n_b, 1.0)",
+            "FULL_POWER_SAMPLES, 1.0",
         )
     ],
     "effort power": [
@@ -78,7 +76,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.0, 0.0",
         )
     ],
-    "effort in the index": [("model_weights", "extra = floor + mu *", "extra = floor + 0.0 * mu *")],
+    "effort in the index": [("model_weights", "extra = floor + mu_2 *", "extra = floor + 0.0 * mu_2 *")],
     "second sample in the gate": [
         ("innovation_gate", "if not inner * gate_m < abs(innovation_m) <= gate_m or", "if inner >= 0.0 or")
     ],
@@ -135,16 +133,20 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "longer horizon": [
         (
             "model_weights",
-            "c += params.long_power * math.log(weights.longer_m2",
-            "c += 0.0 * math.log(weights.longer_m2",
+            "index += p_l * math.log(weights.longer_m2",
+            "index += 0.0 * math.log(weights.longer_m2",
         )
     ],
     "recent horizon": [
-        ("model_weights", "c = power * math.log(weights.recent_m2", "c = 0.0 * math.log(weights.recent_m2")
+        (
+            "model_weights",
+            "index = p_j * math.log(weights.recent_m2",
+            "index = 0.0 * math.log(weights.recent_m2",
+        )
     ],
     "noise subtracted from the index": [
-        ("model_weights", "subtracted = params.noise_share", "subtracted = 0.0"),
-        ("model_weights", "subtracted_longer = params.noise_share", "subtracted_longer = 0.0"),
+        ("model_weights", "noise_j = params.noise_share", "noise_j = 0.0"),
+        ("model_weights", "noise_l = params.noise_share", "noise_l = 0.0"),
     ],
     "effort power on rough ground": [
         (

@@ -144,7 +144,7 @@ class Beams(Schema):
     changed_ns = I64(BEAMS, unit="ns", doc="when that run began")
     accepted = I64(BEAMS, doc="1: in the plane fit")
     deviation = F64(BEAMS, doc="height above the median, in gates")
-    deviations = I64(BEAMS, doc="samples outside the gate minus those inside since")
+    outside_count = I64(BEAMS, doc="samples outside the gate minus those inside since")
     weight = F64(BEAMS, doc="weight in the plane fit")
     height_m = F64(BEAMS, unit="m", doc="height under the tool by each beam")
     sorted_m = F64(BEAMS, unit="m", doc="scratch: those, sorted")

@@ -25,6 +25,12 @@ MIN_WEIGHT = 0.05  # of a beam accepted outside the gate
 
 
 @jit
+def has_deviated(beams, c):
+    """Whether a beam was outside the gate lately, and has not been inside as often since."""
+    return beams.outside_count[c] > 0
+
+
+@jit
 def choose_reference(params, beams, sense):
     """Choose the reference channel, whose samples are the follower's; -1: none.
 
@@ -41,7 +47,7 @@ def choose_reference(params, beams, sense):
         rank = 0
         if sense.valid[c] == 0 or newest - beams.t_ns[c] > MAX_REFERENCE_AGE_NS:
             rank = 2
-        elif beams.deviations[c] > 0:
+        elif has_deviated(beams, c):
             rank = 1
         if rank < lowest:
             best, lowest = c, rank
@@ -208,7 +214,7 @@ def isolate_faults(adaptive, n_channels, t_ns, x_m, y_m):
         beams.accepted[c] = 1
         repeating += 1 if beams.t_ns[c] - beams.repeat_ns[c] > stuck_ns else 0
         constant += 1 if beams.t_ns[c] - beams.changed_ns[c] > stuck_ns else 0
-        deviating += 1 if beams.deviations[c] > 0 else 0
+        deviating += 1 if has_deviated(beams, c) else 0
         n += 1
     if n == 0:
         return 0
@@ -231,30 +237,24 @@ def isolate_faults(adaptive, n_channels, t_ns, x_m, y_m):
             continue
         signed = (beams.height_m[c] - median) / gate
         # ground that rises under one beam leaves the gate gradually, a fault at once
-        rises = signed > 1.0 and beams.deviation[c] > GRADUAL and beams.deviations[c] == 0
+        rises = signed > 1.0 and beams.deviation[c] > GRADUAL and not has_deviated(beams, c)
         beams.deviation[c] = signed
         deviation = 0.0 if rises else abs(signed)
         deviates = deviation > 1.0 and n >= 2 and plane.count > 0
-        beams.deviations[c] = min(
-            max(beams.deviations[c] + (1 if deviates else -1), 0), 2 * CONFIRMATION_SAMPLES
-        )
+        count = beams.outside_count[c] + (1 if deviates else -1)
+        beams.outside_count[c] = min(max(count, 0), 2 * CONFIRMATION_SAMPLES)
         stuck = repeating == 1 and n >= 2 and beams.t_ns[c] - beams.repeat_ns[c] > stuck_ns
-        alone = n >= 4 and deviating == (1 if beams.deviations[c] > 0 else 0)  # three good ones are left
+        alone = n >= 4 and deviating == (1 if has_deviated(beams, c) else 0)  # three good ones are left
         stuck |= alone and constant == 1 and beams.t_ns[c] - beams.changed_ns[c] > stuck_ns
-        if (
-            stuck
-            or (deviates and beams.deviations[c] <= CONFIRMATION_SAMPLES)
-            or (majority and beams.deviations[c] > 0)
-        ):
-            beams.deviations[c] = max(beams.deviations[c], 1)
+        unconfirmed = deviates and beams.outside_count[c] <= CONFIRMATION_SAMPLES
+        outvoted = majority and has_deviated(beams, c)
+        if stuck or unconfirmed or outvoted:
+            beams.outside_count[c] = max(beams.outside_count[c], 1)
             beams.accepted[c] = 0
             beams.weight[c] = 0.0
             continue
         full = max((1.0 - deviation * deviation) ** 2, MIN_WEIGHT) if deviation < 1.0 else MIN_WEIGHT
-        if plane.count == 0:
-            beams.weight[c] = 1.0
-        else:
-            beams.weight[c] = min(full, beams.weight[c] + WEIGHT_RECOVERY)
+        beams.weight[c] = 1.0 if plane.count == 0 else min(full, beams.weight[c] + WEIGHT_RECOVERY)
         good += 1
     return good
 

@@ -74,58 +74,76 @@ def noise_fraction(score_m2, noise_m):
 
 
 @jit
-def update_weights(params, adaptive, dt_s):
-    """Compute the weights: powers of both indices with penalties, filtered in time."""
-    shadow, weights = adaptive.shadow, adaptive.weights
-    least_recent, least_longer = weights.recent_m2[0], weights.longer_m2[0]
+def compute_costs(params, adaptive):
+    """Compute the cost of each model: its performance index and penalties.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`weights.cost` updated)
+
+    Notes
+    -----
+    With ε_i² = ε² + μ² E_i:
+
+        c_i = β [p_J ln(J_i − σ_J² + ε_i²) + p_L ln(L_i − σ_L² + ε_i²) + p_E ln(1 + E_i/E_0)] + C_i + V_i
+
+    S is the noise share of the least J_i, α the progress of the scoring, β that of the burn-in over n_b
+    samples. The other symbols are those of docs/explanation/following.md.
+    """
+    shadow, weights, noise_m = adaptive.shadow, adaptive.weights, adaptive.noise.sigma_m
+    least_j, least_l = weights.recent_m2[0], weights.longer_m2[0]
     for i in range(1, N_MODELS):
-        least_recent = min(least_recent, weights.recent_m2[i])
-        least_longer = min(least_longer, weights.longer_m2[i])
-    variance = adaptive.noise.sigma_m * adaptive.noise.sigma_m
-    subtracted = params.noise_share * min(variance, least_recent)
-    subtracted_longer = params.noise_share * min(variance, least_longer)
-    floor = params.score_floor_m * params.score_floor_m
-    mu = params.effort_m * params.effort_m
+        least_j, least_l = min(least_j, weights.recent_m2[i]), min(least_l, weights.longer_m2[i])
     # differences below the noise are small but significant; great errors come from few places
-    noise_part = noise_fraction(least_recent, adaptive.noise.sigma_m)
+    s = noise_fraction(least_j, noise_m)
     # few samples give no significance; fine differences need many
-    needed = BURN_IN_SAMPLES * max(noise_part * noise_part, MIN_BURN_IN_SHARE)
-    burn_in, progress = min(weights.scored / needed, 1.0), weights.scored / FULL_POWER_SAMPLES
-    sharpness = noise_part * noise_part * progress * progress
-    power = params.long_power + (params.score_power - params.long_power) * sharpness
-    # until then, and after an initialisation, the models' own variance decides
-    variance_share = max(1.0 - burn_in, 1.0 - adaptive.estimate.samples / needed)
+    n_b = BURN_IN_SAMPLES * max(s * s, MIN_BURN_IN_SHARE)
+    alpha, beta = weights.scored / FULL_POWER_SAMPLES, min(weights.scored / n_b, 1.0)
+    p_l = params.long_power
+    p_j = p_l + (params.score_power - p_l) * (s * s * alpha * alpha)
+    p_e = ROUGH_EFFORT_POWER * ((1.0 - s) * (1.0 - s)) + BURN_IN_EFFORT_POWER * s * s * (1.0 - alpha)
+    noise_j = params.noise_share * min(noise_m * noise_m, least_j)
+    noise_l = params.noise_share * min(noise_m * noise_m, least_l)
+    floor, mu_2 = params.score_floor_m * params.score_floor_m, params.effort_m * params.effort_m
+    chance = s * s * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * alpha)
+    # during the burn-in, and after an initialisation, the models' own variance decides
+    variance_share = max(1.0 - beta, 1.0 - adaptive.estimate.samples / n_b)
     if adaptive.sample.lead_m > MIN_LEAD_M:
         variance_share = 0.0  # the buffered heights are followed, not the models
     ahead_m = adaptive.kinematics.speed_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
-    chance = noise_part * noise_part * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * progress)
-    rough = (1.0 - noise_part) * (1.0 - noise_part)
-    effort_power = ROUGH_EFFORT_POWER * rough + BURN_IN_EFFORT_POWER * noise_part * noise_part * (
-        1.0 - progress
-    )
     spacing_m = adaptive.kinematics.speed_mps * adaptive.prediction.interval_s
-    least = EXCLUDED
     for i in range(N_MODELS):
-        extra = floor + mu * shadow.effort[i]
-        c = power * math.log(weights.recent_m2[i] - subtracted + extra)
-        c += params.long_power * math.log(weights.longer_m2[i] - subtracted_longer + extra)
-        c += effort_power * shadow.log_effort[i]
-        c = burn_in * c + chance * CHANCE_PENALTY[i]
+        extra = floor + mu_2 * shadow.effort[i]
+        index = p_j * math.log(weights.recent_m2[i] - noise_j + extra)
+        index += p_l * math.log(weights.longer_m2[i] - noise_l + extra)
+        index += p_e * shadow.log_effort[i]
+        c = beta * index + chance * CHANCE_PENALTY[i]
         if variance_share > 0.0:
-            c += (
-                VARIANCE_PENALTY
-                * variance_share
-                * math.log(extrapolation_variance(i, adaptive.bank, ahead_m) + variance)
-            )
-        if i >= WAVES and SCALE[i] * spacing_m > MAX_WAVE_PHASE:
-            c = EXCLUDED
-        weights.cost[i] = c
-        least = min(least, c)
-    total = 0.0
+            variance_m2 = extrapolation_variance(i, adaptive.bank, ahead_m) + noise_m * noise_m
+            c += VARIANCE_PENALTY * variance_share * math.log(variance_m2)
+        is_alias = i >= WAVES and SCALE[i] * spacing_m > MAX_WAVE_PHASE
+        weights.cost[i] = EXCLUDED if is_alias else c
+
+
+@jit
+def update_weights(params, adaptive, dt_s):
+    """Compute the weights w_i ∝ exp(−c_i), filtered in time.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`weights` updated)
+    dt_s : float64  time since the weights before [s]; ∞: no filter
+    """
+    weights = adaptive.weights
+    compute_costs(params, adaptive)
+    least, total = EXCLUDED, 0.0
+    for i in range(N_MODELS):
+        least = min(least, weights.cost[i])
     for i in range(N_MODELS):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
-    rate = 1.0 - math.exp(-dt_s / max(WEIGHT_TIME_CONSTANT_S * progress, MIN_TIME_CONSTANT_S))
+    alpha = weights.scored / FULL_POWER_SAMPLES
+    rate = 1.0 - math.exp(-dt_s / max(WEIGHT_TIME_CONSTANT_S * alpha, MIN_TIME_CONSTANT_S))
     for i in range(N_MODELS):
         weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
     weights.waiting_s = 0.0

@@ -62,6 +62,36 @@ def _observe_noise(response, range_m):
 
 
 @jit
+def _update_mean(response, range_m, sigma_m, number):
+    """Update the mean of `number` ranges, and that of the run, with a range of standard deviation σ [m]."""
+    least = min(range_m, response.recent_m[0], response.recent_m[1]) - response.mean_m
+    greatest = max(range_m, response.recent_m[0], response.recent_m[1]) - response.mean_m
+    outlier = OUTLIER_SIGMAS * sigma_m
+    moved = least > outlier or greatest < -outlier  # three in a row are no outliers
+    if moved and number >= MAX_MEAN and response.samples > 2:  # those of a slow sensor are far apart
+        response.mean_m = range_m
+    response.mean_m += min(max(range_m - response.mean_m, -outlier), outlier) / number
+    response.run_samples += 1
+    if number < response.run_samples < RUN_SAMPLES:  # its own mean is the better known one
+        share = 1.0 / response.run_samples
+        response.run_range_m += share * (response.mean_m - response.run_range_m)
+
+
+@jit
+def _is_noisy(response):
+    """Whether the ranges have about the usual noise."""
+    return response.noise_m >= QUIET_SHARE * response.usual_m
+
+
+@jit
+def _responds(response, band_m):
+    """Whether the mean range has left the band of the run, or the noise is back after a failed test."""
+    factor = 1.0 if response.phase == RESPONSE_RUN else TEST_BAND_FACTOR
+    noise_is_back = response.phase == RESPONSE_FAILED and response.quiet != 0 and _is_noisy(response)
+    return abs(response.mean_m - response.run_range_m) > factor * band_m or noise_is_back
+
+
+@jit
 def is_suspicious(error, motion, rate, band, tau_s, reach):
     """Whether an error that does not change is too great for a lag, and for the motion of the run.
 
@@ -72,6 +102,70 @@ def is_suspicious(error, motion, rate, band, tau_s, reach):
     reach : float64                      motion that the surface leaves to the tool [m or rad]
     """
     return error > max(band, LAG_TAUS * tau_s * rate) and error * motion > ERROR_MOTION * band * reach
+
+
+@jit
+def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
+    """Shift the setpoint, or begin a hold, in a descent with a constant range that gives cause to it.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`response` updated)
+    t_ns : int64        timestamp of the sample
+    tool_z_m : float64  height of the tool at that time [m]
+    number : float64    ranges in their mean
+    band_m : float64    the mean has changed when it changes by more [m]
+    """
+    response, tau, standoff_m = adaptive.response, adaptive.plant.tau_s, params.offset_m
+    interval = max(adaptive.prediction.interval_s, 1e-6)
+    if tool_z_m > response.run_z_m:
+        response.run_z_m, response.run_ns = tool_z_m, t_ns
+    descent = response.run_z_m - tool_z_m
+    rate = descent / max((t_ns - response.run_ns) * 1e-9, interval)
+    below = abs(adaptive.sample.lead_m) < MIN_LEAD_M
+    error = abs(response.run_range_m - standoff_m) if below else 0.0
+    wrong = is_suspicious(error, descent, rate, band_m, tau, standoff_m)
+    noisy, perceptible = _is_noisy(response), descent > MOTION_BANDS * band_m
+    long = response.run_samples > MIN_LONG_MEANS * number
+    far = long and descent > FAR_DESCENT * standoff_m
+    doubtful = (  # with fewer samples in τ the ground changes while the answer is awaited
+        number >= MAX_MEAN
+        and perceptible
+        and error > LAG_TAUS * tau * rate
+        and error * descent > SHIFT_ERROR_MOTION * band_m * standoff_m
+    )
+    if long and response.lift_m == 0.0 and (doubtful or descent > SHIFT_DESCENT * standoff_m):
+        response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
+    since_s = (t_ns - response.test_ns) * 1e-9
+    late = response.lift_m > 0.0 and since_s > STOP_TAUS * tau + MIN_MEANS * number * interval
+    suspicious = (wrong or not noisy) and perceptible
+    if far or late or (suspicious and response.run_samples > MIN_MEANS * number):
+        response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
+        response.rate_mps, response.quiet = rate, 0 if noisy else 1
+
+
+@jit
+def _update_test(response, t_ns, tool_z_m, number, band_m, tau_s):
+    """Go from a hold to a lift, and from a lift to its end.
+
+    Parameters
+    ----------
+    response, t_ns, tool_z_m, number, band_m : as in `_update_run`
+    tau_s : float64  time constant of the axis [s]
+    """
+    since_s = (t_ns - response.test_ns) * 1e-9
+    if response.phase == RESPONSE_HOLD:
+        missing = response.rate_mps * (since_s - STOP_TAUS * tau_s)
+        if missing > MOTION_BANDS * band_m or since_s > MAX_PHASE_TAUS * tau_s:
+            response.phase, response.test_ns, response.test_z_m = RESPONSE_LIFT, t_ns, tool_z_m
+            response.lift_m, response.count = MOTION_BANDS * band_m, 0
+    elif response.phase == RESPONSE_LIFT:
+        if tool_z_m - response.test_z_m > 0.5 * response.lift_m:
+            response.count += 1
+            if response.count > MIN_MEANS * number:
+                response.phase = RESPONSE_FAILED
+        elif since_s > MAX_PHASE_TAUS * tau_s:
+            _begin_run(response, t_ns, tool_z_m)
 
 
 @jit
@@ -93,65 +187,17 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
         response.mean_m = range_m
         _begin_run(response, t_ns, tool_z_m)
     response.t_ns = t_ns
-    least = min(range_m, response.recent_m[0], response.recent_m[1]) - response.mean_m
-    greatest = max(range_m, response.recent_m[0], response.recent_m[1]) - response.mean_m
+    number = min(max(tau / max(adaptive.prediction.interval_s, 1e-6), MIN_MEAN), MAX_MEAN)
+    _update_mean(response, range_m, sigma, number)
     _observe_noise(response, range_m)
-    interval = max(adaptive.prediction.interval_s, 1e-6)
-    number = min(max(tau / interval, MIN_MEAN), MAX_MEAN)
-    outlier = OUTLIER_SIGMAS * sigma
-    moved = least > outlier or greatest < -outlier  # three in a row are no outliers
-    if moved and number >= MAX_MEAN and response.samples > 3:  # those of a slow sensor are far apart
-        response.mean_m = range_m
-    response.mean_m += min(max(range_m - response.mean_m, -outlier), outlier) / number
-    response.run_samples += 1
-    if number < response.run_samples < RUN_SAMPLES:  # its own mean is the better known one
-        share = 1.0 / response.run_samples
-        response.run_range_m += share * (response.mean_m - response.run_range_m)
     band = BAND_SIGMAS * sigma / number**0.5
-    factor = 1.0 if response.phase == RESPONSE_RUN else TEST_BAND_FACTOR
-    noisy = response.noise_m >= QUIET_SHARE * response.usual_m
-    noise_is_back = response.phase == RESPONSE_FAILED and response.quiet != 0 and noisy
-    if abs(response.mean_m - response.run_range_m) > factor * band or noise_is_back:
+    if _responds(response, band):
         _begin_run(response, t_ns, tool_z_m)
-        response.usual_m = min(response.usual_m, response.noise_m / QUIET_SHARE)  # it responds
-        return
-    since_s = (t_ns - response.test_ns) * 1e-9
-    if response.phase == RESPONSE_RUN:
-        if tool_z_m > response.run_z_m:
-            response.run_z_m, response.run_ns = tool_z_m, t_ns
-        descent = response.run_z_m - tool_z_m
-        rate = descent / max((t_ns - response.run_ns) * 1e-9, interval)
-        error = (
-            abs(response.run_range_m - params.offset_m) if abs(adaptive.sample.lead_m) < MIN_LEAD_M else 0.0
-        )
-        wrong = is_suspicious(error, descent, rate, band, tau, params.offset_m)
-        long = response.run_samples > MIN_LONG_MEANS * number
-        far = long and descent > FAR_DESCENT * params.offset_m
-        doubtful = (  # with fewer samples in τ the ground changes while the answer is awaited
-            number >= MAX_MEAN
-            and descent > MOTION_BANDS * band
-            and error > LAG_TAUS * tau * rate
-            and error * descent > SHIFT_ERROR_MOTION * band * params.offset_m
-        )
-        if long and response.lift_m == 0.0 and (doubtful or descent > SHIFT_DESCENT * params.offset_m):
-            response.lift_m, response.test_ns, since_s = SHIFT_BANDS * band, t_ns, 0.0
-        late = response.lift_m > 0.0 and since_s > STOP_TAUS * tau + MIN_MEANS * number * interval
-        suspicious = (wrong or not noisy) and descent > MOTION_BANDS * band
-        if far or late or (suspicious and response.run_samples > MIN_MEANS * number):
-            response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
-            response.rate_mps, response.quiet = rate, 0 if noisy else 1
-    elif response.phase == RESPONSE_HOLD:
-        missing = response.rate_mps * (since_s - STOP_TAUS * tau)
-        if missing > MOTION_BANDS * band or since_s > MAX_PHASE_TAUS * tau:
-            response.phase, response.test_ns, response.test_z_m = RESPONSE_LIFT, t_ns, tool_z_m
-            response.lift_m, response.count = MOTION_BANDS * band, 0
-    elif response.phase == RESPONSE_LIFT:
-        if tool_z_m - response.test_z_m > 0.5 * response.lift_m:
-            response.count += 1
-            if response.count > MIN_MEANS * number:
-                response.phase = RESPONSE_FAILED
-        elif since_s > MAX_PHASE_TAUS * tau:
-            _begin_run(response, t_ns, tool_z_m)
+        response.usual_m = min(response.usual_m, response.noise_m / QUIET_SHARE)
+    elif response.phase == RESPONSE_RUN:
+        _update_run(params, adaptive, t_ns, tool_z_m, number, band)
+    else:
+        _update_test(response, t_ns, tool_z_m, number, band, tau)
 
 
 @jit
