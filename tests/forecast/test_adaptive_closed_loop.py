@@ -67,10 +67,11 @@ def clearances_m(
     misread=None,
     frame_z_m=None,
     settings=None,
+    y_m=None,
 ) -> np.ndarray:
     """Clearance in every millisecond; a plain P loop drives without a follower.
 
-    `places_m` of the tool and `heights_m` of the ground under it are per millisecond. `settings` are
+    `places_m` of the tool (x, and `y_m`) and `heights_m` of the ground under it are per millisecond. `settings` are
     parameters by the millisecond at which they are set. A range arrives after `range_late_ms`. Its timestamp
     hides `range_age_ms` of them. The controller takes a demand when it reports a pose.
     """
@@ -89,7 +90,8 @@ def clearances_m(
         if reports and reports[0][0] + pose_late_ms <= ms:
             at, was, reported, off = reports.popleft()
             if follower:
-                follower.pose((1000 + at) * MS, (was, 0.0, reported + off, 0.0, 0.0, 0.0, 1.0))
+                y = 0.0 if y_m is None else y_m[at]
+                follower.pose((1000 + at) * MS, (was, y, reported + off, 0.0, 0.0, 0.0, 1.0))
         if ms % int(1e3 / job.sensor_hz) == 0:
             read = axis[0] - seen + job.sigma_m * rng.standard_normal()
             ranges.append((ms, misread(t, read, rng) if misread else read))
@@ -214,7 +216,8 @@ def test_a_sensor_far_behind_crosses_a_valley(trail_m, speed_mps, seed):
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 @pytest.mark.parametrize(
-    ("sensor_hz", "speed_mps", "slope"), [(10, 0.3, 0.4), (10, 0.225, 0.4), (5, 0.15, 0.4), (2, 0.12, 0.2)]
+    ("sensor_hz", "speed_mps", "slope"),
+    [(10, 0.3, 0.4), (10, 0.225, 0.4), (5, 0.15, 0.4), (2, 0.12, 0.2), (5, 0.05, 0.6)],
 )
 def test_a_slow_sensor_crosses_a_valley(sensor_hz, speed_mps, slope, seed):
     """GIVEN ground that falls WHEN it rises THEN every nearer sample raises the tool.
@@ -244,6 +247,43 @@ def test_a_wave_shorter_than_two_samples_apart_is_no_model(sensor_hz, speed_mps,
     found = clearances_m(job, job.follower(), seed, places, heights)
     print(f"least clearance {1e3 * found.min():.1f} mm")
     assert found.min() > 0.75 * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("sensor_hz", "speed_mps", "slope"), [(10, 0.1, 0.6), (5, 0.1, 0.6), (2.5, 0.05, 0.5)]
+)
+def test_a_slow_sensor_on_the_next_line_of_a_raster(sensor_hz, speed_mps, slope, seed):
+    """GIVEN a plane WHEN the tool goes back beside its line THEN the slope goes back with it."""
+    rng, job = np.random.default_rng(seed), Job(sensor_hz=sensor_hz)
+    line_m, aside_m = speed_mps * rng.uniform(1.5, 2.5), 0.01
+    way = speed_mps * 1e-3 * np.arange(9000)
+    along = way % (line_m + aside_m)
+    number = way // (line_m + aside_m)
+    x = np.minimum(along, line_m)
+    x = np.where(number % 2 == 0, x, line_m - x)
+    y = number * aside_m + np.maximum(along - line_m, 0.0)
+    smooth = np.hanning(80) / np.hanning(80).sum()
+    x, y = np.convolve(x, smooth, "valid"), np.convolve(y, smooth, "valid")
+    found = clearances_m(job, job.follower(), seed, x, slope * x, range_late_ms=30, pose_late_ms=10, y_m=y)
+    print(f"least clearance {1e3 * found[1200:].min():.1f} mm")
+    assert found[1200:].min() > 0.8 * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    ("mount_m", "speed_mps", "slope"), [(0.01, 0.1, 0.3), (0.03, 0.1, 0.3), (0.01, 0.05, 0.2)]
+)
+def test_a_leading_sensor_whose_tool_stops_on_a_ramp(mount_m, speed_mps, slope, seed):
+    """GIVEN models scored on flat ground, then a ramp ahead WHEN the tool stops THEN no level model takes over."""
+    job, way = Job(mount_m=mount_m), speed_mps * 1e-3 * np.arange(9000)
+    aside_m = 3.0 * speed_mps  # first the sensor is beside the tool
+    places = np.clip(way - aside_m, 0.0, 4.0 * speed_mps)
+    places[-1] += mount_m  # the sensor sees the ramp beyond the stop
+    heights = slope * np.maximum(places - 0.5 * speed_mps, 0.0)
+    found = clearances_m(job, job.follower(), seed, places, heights, y_m=np.minimum(way, aside_m))
+    print(f"least clearance {1e3 * found[:-1].min():.1f} mm")
+    assert found[:-1].min() > 0.95 * job.standoff_m
 
 
 def test_wrong_readings_of_a_burst_seldom_agree():

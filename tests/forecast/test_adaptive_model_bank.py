@@ -97,7 +97,7 @@ def test_a_reversed_bank_goes_back_over_the_same_ground():
         bank.propagate_bank(b, rng.uniform(0.0, 3e-3))
         bank.update_bank(b, 0.01 + 0.002 * rng.standard_normal(), 1e-7)
     back = b.copy()
-    bank.reverse_bank(back)
+    bank.turn_bank(back, -1.0)
     for d in (-0.02, -1e-3, 0.0, 1e-3, 0.02):
         bank.extrapolate_bank(b, d)
         bank.extrapolate_bank(back, -d)
@@ -105,7 +105,7 @@ def test_a_reversed_bank_goes_back_over_the_same_ground():
         assert back["rise_m"][used] == pytest.approx(b["rise_m"][used], abs=1e-12)
         assert back["slope_ahead"][used] == pytest.approx(-b["slope_ahead"][used], abs=1e-12)
     assert np.all(np.linalg.eigvalsh([covariance_of(back, i) for i in range(bank.N_MODELS)]) > -1e-12)
-    bank.reverse_bank(back)
+    bank.turn_bank(back, -1.0)
     for name in ("x1", "x2", "p01", "p02", "p12"):
         assert np.array_equal(back[name], b[name])
 

@@ -31,8 +31,9 @@ from surffollow.forecast.sensing.kinematics import (
     has_jumped,
     update_kinematics,
 )
-from surffollow.forecast.sensing.measurement import process_sample, standoff_height
+from surffollow.forecast.sensing.measurement import process_sample
 from surffollow.forecast.sensing.response import is_unresponsive
+from surffollow.forecast.sensing.standoff import standoff_height
 from surffollow.forecast.setpoint.preview_control import plan_setpoint
 from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, filter_setpoint, permitted_setpoint
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint, mark_dryrun, release_setpoint

@@ -31,6 +31,7 @@ TRACK_LENGTH_M, TRACK_SAMPLES, TRACK_GAP_M = (
 CURVATURE_RATE_HZ = 2.5  # bandwidth of the curvature
 CURVATURE_SPREAD_M2 = 1e-4  # least spread of half the squared distances from the axis
 MAX_CURVATURE = 10.0  # 1/m
+GAP_INTERVALS = 2.0  # a gap is longer than so many usual intervals beyond MAX_GAP_NS: slow rings have none
 
 
 @jit
@@ -50,7 +51,7 @@ def plane_height(params, adaptive, t_ns, x_m, y_m):
     int64, float64 [m]
     """
     beams, plane = adaptive.beams, adaptive.plane
-    dt = propagate_slopes(plane, t_ns)
+    dt = propagate_slopes(plane, t_ns, MAX_GAP_NS * 1e-9 + GAP_INTERVALS * adaptive.prediction.interval_s)
     accepted = isolate_faults(adaptive, params.n_channels, t_ns, x_m, y_m)
     if accepted == 0:
         return 0, 0.0
@@ -67,10 +68,10 @@ def plane_height(params, adaptive, t_ns, x_m, y_m):
 
 
 @jit
-def propagate_slopes(plane, t_ns):
-    """Propagate the slopes to a sample by their rates; time since the last one [s], 0 after a gap."""
+def propagate_slopes(plane, t_ns, gap_s):
+    """Propagate the slopes to a sample by their rates; time since the last one [s], 0 after a longer gap."""
     dt = (t_ns - plane.t_ns) * 1e-9
-    if plane.t_ns == 0 or not 0.0 < dt <= MAX_GAP_NS * 1e-9:
+    if plane.t_ns == 0 or not 0.0 < dt <= gap_s:
         if plane.t_ns != 0 and abs(dt) > 0.5:
             plane.count = min(plane.count, 1)  # after a long gap the next planes have a higher gain
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = 0.0

@@ -27,8 +27,8 @@ from surffollow.forecast.estimation.model_bank import (
     model_slope,
     propagate_bank,
     reset_bank,
-    reverse_bank,
     shift_bank,
+    turn_bank,
     update_bank,
 )
 from surffollow.forecast.estimation.model_weights import reset_index, update_index, update_weights
@@ -49,7 +49,7 @@ from surffollow.forecast.plant.shadow_axes import (
 )
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.latency_identification import reset_delay
-from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M, store_ground
+from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.forecast.terrain.terrain_regression import reset_mean, update_regression
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
@@ -171,10 +171,10 @@ def confirm_step(params, adaptive):
 
 
 @jit
-def reverse_estimate(adaptive):
-    """Reverse the direction of travel: the tool goes back."""
-    reverse_bank(adaptive.bank)
-    adaptive.estimate.slope = -adaptive.estimate.slope
+def turn_estimate(adaptive, cosine):
+    """Turn the direction of travel by an angle of this cosine; −1: the tool goes back."""
+    turn_bank(adaptive.bank, cosine)
+    adaptive.estimate.slope *= cosine
 
 
 @jit
@@ -213,7 +213,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     propagate_bank(bank, travel)
     estimate.height_m = blend_height(adaptive)
     innovation = h_m - estimate.height_m
-    steepest = STEEPEST_SLOPE * travel * (since_accepted_ns * 1e-9 / dt)
+    # a fall that was expected is part of the innovation, too
+    steepest = (STEEPEST_SLOPE + max(-estimate.slope, 0.0)) * travel * (since_accepted_ns * 1e-9 / dt)
     update_travel(params, gate, travel)
     decision, width = gate_sample(params, adaptive, innovation, travel, steepest, gap)
     if decision == HOLD and adapt and estimate.samples > 1:
@@ -232,8 +233,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         accept_sample(params, gate)
     if adapt:
         update_scale(gate, innovation, width)
-        # a shadow axis is where the tool is or was: only heights measured there give its error
-        if comparable and over_ns > estimate.settle_ns and adaptive.sample.lead_m < MIN_LEAD_M:
+        # setpoints are for the footprint, or for the ground ahead of it where the sensor trails
+        if comparable and over_ns > estimate.settle_ns:
             update_index(params, adaptive, travel, dt, h_m + standoff_m)
         update_noise(adaptive, h_m)
     r = max(noise.sigma_m, MIN_NOISE_M) ** 2

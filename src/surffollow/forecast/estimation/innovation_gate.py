@@ -103,7 +103,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
     further = height_m - last_height
     # on ground of 45 degrees the outliers of a slow sensor go on in their direction by their travel
-    tolerance = INNER_GATE * gate_m + (travel_m if further * innovation_m > 0.0 else 0.0)
+    tolerance = max(INNER_GATE * gate_m, params.gate_m) + (travel_m if further * innovation_m > 0.0 else 0.0)
     if gate.pending > 0 and abs(further) < tolerance:
         gate.pending += 1
         gate.pending_travel_m += travel_m

@@ -152,12 +152,21 @@ def model_slope(i, bank):
 
 
 @jit
-def reverse_bank(bank):
-    """Reverse the direction of travel: slopes, and sines of waves, change their sign."""
+def turn_bank(bank, cosine):
+    """Turn the direction of travel by an angle: slopes times its cosine, curvatures times its square.
+
+    Of a wave the sine changes as a slope does. What the new direction adds is as uncertain as at the start.
+    −1: the tool goes back, and slopes change their sign.
+    """
+    c, c2 = cosine, cosine * cosine
     for i in range(WAVES):
-        bank.x1[i], bank.p01[i], bank.p12[i] = -bank.x1[i], -bank.p01[i], -bank.p12[i]
+        bank.x1[i], bank.x2[i] = c * bank.x1[i], c2 * bank.x2[i]
+        bank.p01[i], bank.p02[i], bank.p12[i] = c * bank.p01[i], c2 * bank.p02[i], c * c2 * bank.p12[i]
+        bank.p11[i] = c2 * bank.p11[i] + (1.0 - c2) * INITIAL_SLOPE_VARIANCE[i]
+        bank.p22[i] = c2 * c2 * bank.p22[i] + (1.0 - c2 * c2) * INITIAL_CURVATURE_VARIANCE[i]
     for i in range(WAVES, N_MODELS):
-        bank.x2[i], bank.p02[i], bank.p12[i] = -bank.x2[i], -bank.p02[i], -bank.p12[i]
+        bank.x2[i], bank.p02[i], bank.p12[i] = c * bank.x2[i], c * bank.p02[i], c * bank.p12[i]
+        bank.p22[i] = c2 * bank.p22[i] + (1.0 - c2) * INITIAL_CURVATURE_VARIANCE[i]
 
 
 @jit

@@ -237,7 +237,7 @@ def update_health(params, adaptive, sense, stuck):
         candidate, reason = SUSPECT, REASON_ROTATION
     elif silent != 0:
         candidate, reason = SUSPECT, REASON_SILENT
-    elif is_late(adaptive):
+    elif is_late(params, adaptive):
         candidate, reason = SUSPECT, REASON_LATE
     elif adaptive.gate.pending > 0:
         candidate, reason = SUSPECT, REASON_PENDING

@@ -21,7 +21,7 @@ MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
 RESIDUAL_LIMIT_M = 0.5e-3  # left by the regression, beyond the noise: the ground was not one spot
 DRIFT_S = 1e-3  # standard deviation of the latency's drift between two rests
 USUAL_VALUE_RATE = 0.05  # of the usual delay, lead and spacing, per sample
-LEAST_DELAY_RATE = 2e-4  # at which the least delay grows, per sample: clocks drift by 100 ppm
+LEAST_DELAY_S = 20.0  # time constant of the least delay, which grows: clocks drift by 100 ppm
 LATE_TAUS = 2.0  # usual beyond least delay: ground seen so late is behind the tool, and the axis moved since
 
 
@@ -35,19 +35,23 @@ def reset_window(latency):
 
 
 @jit
-def update_delay(latency, delay_s):
-    """Update the usual and the least delay with that of a sample [s]."""
+def update_delay(latency, delay_s, interval_s):
+    """Update the usual and the least delay with that of a sample, at the usual interval [s]."""
     latency.delay_s += USUAL_VALUE_RATE * (delay_s - latency.delay_s)
     if latency.least_s == 0.0 or delay_s < latency.least_s:
         latency.least_s = delay_s
-    latency.least_s += LEAST_DELAY_RATE * (delay_s - latency.least_s)
+    latency.least_s += min(interval_s / LEAST_DELAY_S, 1.0) * (delay_s - latency.least_s)
 
 
 @jit
-def is_late(adaptive):
-    """Whether samples arrive later than they did: the delay grows, or the timestamps fall behind."""
+def is_late(params, adaptive):
+    """Whether samples arrive later than they did: the delay grows, or the timestamps fall behind.
+
+    The first means of a channel are of fewer ranges, and younger.
+    """
     latency = adaptive.latency
-    return latency.delay_s - latency.least_s > LATE_TAUS * adaptive.plant.tau_s
+    younger_s = 0.5 * (params.sensor_readings - 1) * adaptive.prediction.interval_s
+    return latency.delay_s - latency.least_s > LATE_TAUS * adaptive.plant.tau_s + younger_s
 
 
 @jit

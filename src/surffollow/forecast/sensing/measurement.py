@@ -9,10 +9,10 @@ from surffollow.forecast.attitude.beam_detection import any_beam_changed, observ
 from surffollow.forecast.attitude.plane_fit import plane_height
 from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation
 from surffollow.forecast.estimation.adaptation import update_deadband
-from surffollow.forecast.estimation.estimate import discard_estimate, reverse_estimate, update_estimate
+from surffollow.forecast.estimation.estimate import discard_estimate, turn_estimate, update_estimate
 from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.fold_back import watch_fold_back
-from surffollow.forecast.pose import footprint, rotate
+from surffollow.forecast.pose import footprint
 from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.health import (
     count_close,
@@ -27,51 +27,12 @@ from surffollow.forecast.sensing.latency_identification import USUAL_VALUE_RATE,
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.response import is_unresponsive, observe_response
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
+from surffollow.forecast.sensing.standoff import axis_ground_point, standoff_height
 from surffollow.forecast.terrain.lookahead_sensor import compare_lookahead
 from surffollow.forecast.terrain.preview import compare_map, monitor_error, withdraw_preview
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES, RUN_FREEZE, RUN_NORMAL
-
-
-@jit
-def axis_ground_point(params, pose, at):
-    """Point of the tool's axis that should touch the ground, from the tool, in world axes [m].
-
-    The axis is that of the tool's frame which is nearest to channel 0's beam.
-
-    Parameters
-    ----------
-    params : record of `Params`
-    pose : (≥ at + 7,) float64  x y z [m], qx qy qz qw
-    at : int                    index of the first number
-    """
-    m = params.tool_from_sensor
-    x, y, z = rotate(m[3], m[4], m[5], m[6], 0.0, 0.0, -params.offset_m)
-    along_z = abs(z) >= abs(x) and abs(z) >= abs(y)
-    along_x = not along_z and abs(x) >= abs(y)
-    x = m[0] + x if along_x else 0.0
-    y = 0.0 if along_x or along_z else m[1] + y
-    z = m[2] + z if along_z else 0.0
-    return rotate(pose[at + 3], pose[at + 4], pose[at + 5], pose[at + 6], x, y, z)
-
-
-@jit
-def standoff_height(params, plane, sense, orients):
-    """Desired height of the tool, in the newest pose reported, above the ground point on its axis [m].
-
-    Parameters
-    ----------
-    params, plane, sense : records of `Params`, `Plane`, `SenseState`
-    orients : bool  three or more sensors, and the tool is rotated to the surface normal
-    """
-    pose, at = sense.pose, 7 * ((sense.pose_count - 1) & (POSES - 1))
-    if not orients:
-        _, _, tip_z = axis_ground_point(params, pose, at)
-        return -tip_z
-    tx, ty, tz = rotate(pose[at + 3], pose[at + 4], pose[at + 5], pose[at + 6], 0.0, 0.0, 1.0)
-    along = tz - plane.slope_x * tx - plane.slope_y * ty  # (tool axis · normal) over the normal's z
-    return (params.offset_m - params.tool_from_sensor[2]) * along
 
 
 @jit
@@ -173,7 +134,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
     record_sample(hold, t_ns, range_m)
     if not orients:  # beams have timestamps of their own, without correction
         t_ns -= int(adaptive.latency.correction_s * 1e9)
-    update_delay(adaptive.latency, (adaptive.clock.now_ns - t_ns) * 1e-9)
+    update_delay(adaptive.latency, (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.prediction.interval_s)
     predict_pose(adaptive.kinematics, sense, t_ns, pose)
     was_stuck = is_stuck_permanently(adaptive) or is_unresponsive(response)
     update_stuck(adaptive, repeated, range_m, pose[2])
@@ -269,7 +230,10 @@ def has_turned_back(adaptive):
 
 @jit
 def follow_heading(adaptive, x_m, y_m):
-    """Take the heading of the tool as that of the sample; reverse the bank where the footprints go back.
+    """Take the heading of a sample; turn the bank by the angle between two headings.
+
+    The heading of a slow sensor is the way between two footprints: the velocity is a mean that turns late. A
+    quicker one learns the slope anew, unless its footprints go back.
 
     Parameters
     ----------
@@ -279,10 +243,22 @@ def follow_heading(adaptive, x_m, y_m):
     kinematics, sample = adaptive.kinematics, adaptive.sample
     if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return
+    way_x, way_y = x_m - sample.x_m, y_m - sample.y_m
+    along = way_x * sample.heading_x + way_y * sample.heading_y
+    if is_slow(adaptive) and adaptive.estimate.samples > 0:
+        way = math.hypot(way_x, way_y)
+        if way <= MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s:
+            return
+        if sample.heading_x != 0.0 or sample.heading_y != 0.0:
+            turn_estimate(adaptive, along / way)
+        if along < 0.0:
+            sample.lead_m = -sample.lead_m
+        sample.heading_x, sample.heading_y = way_x / way, way_y / way
+        return
     if has_turned_back(adaptive):
-        if (x_m - sample.x_m) * sample.heading_x + (y_m - sample.y_m) * sample.heading_y >= 0.0:
+        if along >= 0.0:
             return  # the footprint is still ahead of the one before
-        reverse_estimate(adaptive)
+        turn_estimate(adaptive, -1.0)
         sample.lead_m = -sample.lead_m
     sample.heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
     sample.heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
