@@ -5,7 +5,6 @@ from __future__ import annotations
 from surffollow.shm.schema import F64, I64, Schema
 
 BEAMS = 8
-STUCK_COUNT = 1 << 40  # added to the repeat count of a stuck sensor
 
 
 class Clock(Schema):
@@ -75,7 +74,8 @@ class Health(Schema):
     candidate = I64(doc="state without hysteresis")
     faults = I64(doc="bits of FAULT_NAMES, latched until the reset")
     close_count = I64(doc="samples in a row nearer than too_close_m")
-    repeat_count = I64(doc="like samples in a row; from STUCK_COUNT on: stuck-at fault")
+    repeat_count = I64(doc="like samples in a row")
+    stuck = I64(doc="1: stuck-at fault")
     repeat_z_m = F64(unit="m", doc="height of the tool at the first of them")
     repeat_range_m = F64(unit="m", doc="its range")
     noise_floor_m = F64(unit="m", doc="least noise of the readings lately")

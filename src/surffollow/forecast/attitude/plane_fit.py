@@ -23,11 +23,8 @@ SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes [rad/s]; damping 1.1
 RATE_DECAY_S = 0.05  # time constant of a rate that is not observed
 SLOPE_INNOVATION_LIMIT = 0.2  # of one sample
 TRACK_TIME_CONSTANT_S = 0.1  # of the slope from a beam's track
-TRACK_LENGTH_M, TRACK_SAMPLES, TRACK_GAP_M = (
-    0.015,
-    250.0,
-    0.05,
-)  # memory in distance and samples; a longer jump begins anew
+TRACK_LENGTH_M, TRACK_SAMPLES = 0.015, 250.0  # memory of a beam's track in distance and samples …
+TRACK_GAP_M = 0.05  # … which begins anew after a longer jump
 CURVATURE_RATE_HZ = 2.5  # bandwidth of the curvature
 CURVATURE_SPREAD_M2 = 1e-4  # least spread of half the squared distances from the axis
 MAX_CURVATURE = 10.0  # 1/m
@@ -198,12 +195,8 @@ def update_track(adaptive, c):
     `plane.track` holds weight, means of x, y, z and sums xx, xy, yy, xz, yz about them.
     """
     beams, plane = adaptive.beams, adaptive.plane
-    k, x, y, z = (
-        plane.track,
-        beams.footprint_m[3 * c],
-        beams.footprint_m[3 * c + 1],
-        beams.footprint_m[3 * c + 2],
-    )
+    k, at = plane.track, 3 * c
+    x, y, z = beams.footprint_m[at], beams.footprint_m[at + 1], beams.footprint_m[at + 2]
     travel = math.hypot(x - plane.track_x_m, y - plane.track_y_m)
     if plane.track_beam != c or not travel < TRACK_GAP_M:
         for i in range(9):

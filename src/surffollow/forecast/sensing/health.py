@@ -32,7 +32,6 @@ from surffollow.shm.layout_adaptive import (
     STUCK,
     SUSPECT,
 )
-from surffollow.shm.layout_adaptive_sensing import STUCK_COUNT
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
@@ -122,30 +121,29 @@ def update_stuck(adaptive, repeated, range_m, tool_z_m):
     health = adaptive.health
     if not repeated or health.repeat_count == 0:
         if health.repeat_count > 0 and not is_stuck_permanently(adaptive):
-            update_usual_repeats(adaptive, health.repeat_count & (STUCK_COUNT - 1))
-        health.repeat_count = 1
+            update_usual_repeats(adaptive, health.repeat_count)
+        health.repeat_count, health.stuck = 1, 0
         health.repeat_z_m, health.repeat_range_m = tool_z_m, range_m
         update_noise_floor(adaptive)
         return
     health.repeat_count += 1
-    if health.repeat_count >= STUCK_COUNT:
-        return
     limit = repeat_limit(adaptive)
     travel_m = min(max(STUCK_TRAVEL_M * limit / STUCK_SAMPLES, STUCK_MIN_TRAVEL_M), STUCK_TRAVEL_M)
     if health.repeat_count > limit and abs(tool_z_m - health.repeat_z_m) > travel_m:
-        health.repeat_count += STUCK_COUNT
+        health.stuck = 1
 
 
 @jit
 def is_stuck(health):
     """Whether there is a stuck-at fault."""
-    return health.repeat_count >= STUCK_COUNT
+    return health.stuck != 0
 
 
 @jit
 def is_stuck_permanently(adaptive):
     """Whether a stuck-at fault has lasted for too many samples to be quantisation."""
-    return adaptive.health.repeat_count > STUCK_COUNT + STUCK_RESET_RATIO * repeat_limit(adaptive)
+    health = adaptive.health
+    return is_stuck(health) and health.repeat_count > STUCK_RESET_RATIO * repeat_limit(adaptive)
 
 
 @jit

@@ -20,15 +20,10 @@ MIN_INTERVAL_RATE = 0.002  # at which the shortest interval fades
 MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small
 FIRST_STEP_S = 0.001  # length assumed for the first cycle
 MAX_STEP_S = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
-VELOCITY_RATIO, ACCELERATION_RATIO = (
-    2.0,
-    20.0,
-)  # to the limits of the axis: quicker setpoints add effort only
+VELOCITY_RATIO, ACCELERATION_RATIO = 2.0, 20.0  # to the limits of the axis: quicker setpoints add effort only
 CONFIRMED_SAMPLES = 25  # of an estimate: with fewer there is no arrival, and after a drop-out no descent
 ARRIVED_M = 1e-5  # a setpoint that reaches its target in a cycle is on it but for rounding
-SLOT_GROUP_LENGTHS = (
-    12.0  # of `step_travel`: length of slots and of their groups, behind the last fall of the ground
-)
+SLOT_GROUP_LENGTHS = 12.0  # of `step_travel`: length of slots and of their groups behind a fall of the ground
 SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a setpoint is back from a plan
 BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
 

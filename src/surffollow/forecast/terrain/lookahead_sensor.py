@@ -28,13 +28,8 @@ def observe_lookahead(params, adaptive, sense, moving, pose):
     moving : bool            the direction of travel is known; otherwise no channel leads
     pose : (7,) float64      scratch
     """
-    clock, kinematics, sample, estimate, lookahead = (
-        adaptive.clock,
-        adaptive.kinematics,
-        adaptive.sample,
-        adaptive.estimate,
-        adaptive.lookahead,
-    )
+    clock, kinematics, sample = adaptive.clock, adaptive.kinematics, adaptive.sample
+    estimate, lookahead = adaptive.estimate, adaptive.lookahead
     if not moving or clock.now_ns - lookahead.seen_ns > TIMEOUT_NS:
         lookahead.lead_m = 0.0
     if not moving or estimate.samples == 0:

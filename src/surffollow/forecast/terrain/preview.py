@@ -117,10 +117,8 @@ def compare_map(adaptive, inputs, ahead_m, h_m):
     map_m = map_height(inputs, ahead_m)
     if not math.isfinite(map_m):
         return
-    height_behind_m, height_ahead_m = (
-        map_height(inputs, ahead_m - REGISTRATION_M),
-        map_height(inputs, ahead_m + REGISTRATION_M),
-    )
+    height_behind_m = map_height(inputs, ahead_m - REGISTRATION_M)
+    height_ahead_m = map_height(inputs, ahead_m + REGISTRATION_M)
     if compare_known_ground(adaptive, height_behind_m, map_m, height_ahead_m, h_m - preview.map_bias_m):
         withdraw_preview(preview)
         suspend_preview(preview, adaptive.clock.now_ns + CONTRADICTION_NS)
