@@ -71,7 +71,7 @@ def clearances_m(
 ) -> np.ndarray:
     """Clearance in every millisecond; a plain P loop drives without a follower.
 
-    `places_m` of the tool (x, and `y_m`) and `heights_m` of the ground under it are per millisecond. `settings` are
+    `places_m` of the tool, `y_m` beside, and `heights_m` of the ground are per millisecond. `settings` are
     parameters by the millisecond at which they are set. A range arrives after `range_late_ms`. Its timestamp
     hides `range_age_ms` of them. The controller takes a demand when it reports a pose.
     """
@@ -275,7 +275,7 @@ def test_a_slow_sensor_on_the_next_line_of_a_raster(sensor_hz, speed_mps, slope,
     ("mount_m", "speed_mps", "slope"), [(0.01, 0.1, 0.3), (0.03, 0.1, 0.3), (0.01, 0.05, 0.2)]
 )
 def test_a_leading_sensor_whose_tool_stops_on_a_ramp(mount_m, speed_mps, slope, seed):
-    """GIVEN models scored on flat ground, then a ramp ahead WHEN the tool stops THEN no level model takes over."""
+    """GIVEN models scored on flat ground, then a ramp WHEN the tool stops THEN no level model takes over."""
     job, way = Job(mount_m=mount_m), speed_mps * 1e-3 * np.arange(9000)
     aside_m = 3.0 * speed_mps  # first the sensor is beside the tool
     places = np.clip(way - aside_m, 0.0, 4.0 * speed_mps)

@@ -28,17 +28,17 @@ def follower(mounts=CROSS, **config):
 
 
 class Tool:
-    """A tool held level over ground of a given height, that applies no demand; readings every 4 ms."""
+    """A tool held level over ground of a given height, that applies no demand; readings every `interval_ms`."""
 
-    def __init__(self, f, mounts=CROSS, sigma=0.0, z_m=0.1, seed=0):
+    def __init__(self, f, mounts=CROSS, sigma=0.0, z_m=0.1, seed=0, interval_ms=4):
         self.f, self.mounts, self.sigma, self.z_m = f, mounts, sigma, z_m
-        self.ms, self.rng, self.demands = 0, np.random.default_rng(seed), []
+        self.ms, self.rng, self.demands, self.interval_ms = 0, np.random.default_rng(seed), [], interval_ms
 
     def run(self, ms, ground, spoil=lambda k, r: r, speed=0.0):
         for _ in range(ms):
             t, x0 = T0 + self.ms * MS, speed * self.ms * 1e-3
             seen = np.full(len(self.mounts), math.nan)
-            if self.ms % 4 == 0:
+            if self.ms % self.interval_ms == 0:
                 seen = np.array([self.z_m - ground(x0 + x, y) for x, y in self.mounts])
                 seen = spoil(self.ms, seen + self.sigma * self.rng.standard_normal(len(seen)))
             if self.ms % 10 == 0:
@@ -210,6 +210,16 @@ def test_a_wrong_beam_of_three_tilts_the_demand_no_farther_than_max_tilt_rad(max
     assert turn[-1] == pytest.approx(max_tilt_rad, abs=2e-3)
     assert turn.max() <= max_tilt_rad + 2e-3
     assert math.acos(f.state()["normal"][2]) > 0.6, "the ground that the beams see is reported as it is"
+
+
+@pytest.mark.parametrize("interval_ms", [20, 50, 100, 200])
+def test_a_slow_ring_follows_ground_that_turns(interval_ms):
+    """GIVEN ground whose slope changes by 0.08 per s THEN the normal follows: above 50 ms it stopped."""
+    f = follower()
+    tool = Tool(f, sigma=1e-4, interval_ms=interval_ms)
+    for k in range(80):
+        tool.run(100, slanted(0.3 - 0.008 * k, 0.0))
+    assert f.state()["normal"] == pytest.approx(normal_of(0.3 - 0.64, 0.0), abs=0.05)
 
 
 def test_the_attitude_setpoint_keeps_its_limits():
