@@ -28,7 +28,7 @@ def follower(mounts=CROSS, **config):
 
 
 class Tool:
-    """A tool held level over ground of a given height, that applies no demand; readings every `interval_ms`."""
+    """A tool held level over ground of a given height, that applies no demand."""
 
     def __init__(self, f, mounts=CROSS, sigma=0.0, z_m=0.1, seed=0, interval_ms=4):
         self.f, self.mounts, self.sigma, self.z_m = f, mounts, sigma, z_m
