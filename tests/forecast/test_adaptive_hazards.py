@@ -140,6 +140,23 @@ def test_timestamps_that_go_back_are_corrected_and_reported(mounts):
     assert seen[-1] == ""
 
 
+@pytest.mark.parametrize("interval_ms", [4, 50, 200])
+def test_a_sensor_that_leaves_its_window_says_so(interval_ms):
+    """GIVEN a tool that stays WHEN the ground rises into the near limit THEN the sensor is out of range."""
+    f, rng, seen = follower(), np.random.default_rng(8), []
+    for t in range(4000):
+        if t % 10 == 0:
+            f.pose((1000 + t) * MS, pose(1e-4 * t))
+        if t % interval_ms == 0:
+            r = STANDOFF_M - 2.8e-5 * t + 1e-4 * rng.standard_normal()
+            f.step((1000 + t) * MS, [r if r > NEAR_M else math.nan])
+        else:
+            f.step((1000 + t) * MS, [math.nan])
+        seen.append(f.state()["health"])
+    assert "OUT_OF_RANGE" in seen
+    assert "DROPOUT" not in seen[500 : seen.index("OUT_OF_RANGE")]
+
+
 LATER = "readings arrive later than they did: delayed, or the sensor's clock is slow"
 
 

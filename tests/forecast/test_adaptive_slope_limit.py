@@ -46,6 +46,38 @@ def test_a_model_asks_for_no_more_than_the_steepest_ground_allows(
     assert (np.abs(got[:N_MODELS]) <= most + 1e-12).all()
 
 
+@pytest.mark.parametrize(
+    ("trail_m", "interval_s", "ahead_m", "lead_m", "level_m"),
+    [
+        (0.0, 0.004, 0.05, 0.008, 0.0),
+        (0.03, 0.004, 0.05, 0.008, 0.03),  # over the trail
+        (0.03, 0.004, 0.02, 0.008, 0.02),  # over no more than the distance ahead
+        (0.0, 0.2, 0.05, 0.008, 0.025),  # over half of it under a slow sensor
+        (0.03, 0.2, 0.02, -0.008, 0.0),  # a tool that goes back comes to ground that was seen …
+        (0.03, 0.2, 0.02, -0.02, 0.0),
+        (0.03, 0.004, 0.02, -0.03, 0.0),
+        (0.03, 0.2, -0.05, -0.008, 0.0),
+    ],
+)
+@pytest.mark.parametrize("slope", [-0.1, 0.1])
+def test_falling_ground_that_is_not_seen_counts_as_level(
+    slope, trail_m, interval_s, ahead_m, lead_m, level_m
+):
+    a = planes(slope)
+    a["sample"]["lead_m"] = -trail_m
+    a["prediction"]["interval_s"], a["plant"]["tau_s"] = interval_s, 0.04
+    compute_setpoints(a, ahead_m, lead_m, 3.0, 0.1)
+    straight = np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 1] > 1.0))
+    way = ahead_m + lead_m
+    falls = slope * way < 0.0
+    expected = slope * (way - level_m) if falls else slope * way
+    assert a["blend"]["model_m"][straight] - 2.1 == pytest.approx(expected, abs=1e-6)
+    extrapolate_bank(a["bank"], ahead_m)
+    waves = slice(WAVES, N_MODELS)  # rise by themselves
+    free = a["bank"]["rise_m"][waves] + lead_m * a["bank"]["slope_ahead"][waves]
+    assert a["blend"]["model_m"][waves] - 2.1 == pytest.approx(free, abs=1e-12)
+
+
 def errors_m(x_m: np.ndarray, heights_m: np.ndarray, speed_mps: float) -> np.ndarray:
     """Stand-off error at every millisecond on this ground [m]."""
     scene = make_scene(from_points("made", x_m, heights_m), speed_mps, 5, Conditions())

@@ -142,7 +142,7 @@ def beam_height(adaptive, c, x_m, y_m):
 
 @jit
 def is_bent(adaptive, n_channels, gate_m):
-    """Whether the accepted beams lie on no plane within the gate, whatever its slopes."""
+    """Whether the accepted beams lie on no plane within the gate."""
     beams = adaptive.beams
     n, mx, my, mh = 0, 0.0, 0.0, 0.0
     for c in range(n_channels):

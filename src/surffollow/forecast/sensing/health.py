@@ -1,13 +1,12 @@
 """Health of the ranging: stuck-at detection, health states with hysteresis, latched faults."""
 
-import math
-
 from surffollow.forecast.attitude.beam_detection import REPEAT_BAND
 from surffollow.forecast.attitude.rotation_response import has_failed
 from surffollow.forecast.estimation.model_weights import BURN_IN_SAMPLES
 from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
+from surffollow.forecast.sensing.range_prediction import predict_range
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
     DROPOUT,
@@ -38,8 +37,7 @@ LEAVE_NS = 100_000_000  # a better one after so long
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out …
 MAX_DROPOUT_S = 1.0  # … but no longer than this
 INTERVAL_READINGS = 8  # readings over which the usual interval of a channel's readings is averaged
-# a loss that began so near an end of the window, or as near as the next sample may be, is OUT_OF_RANGE
-WINDOW_EDGE_M = 0.003
+WINDOW_EDGE_M = 0.003  # a loss so near an end of the window, as the last sample or the next, is OUT_OF_RANGE
 STUCK_SAMPLES = 50  # equal samples …
 STUCK_S, STUCK_MIN_SAMPLES = 0.4, 8.0  # … or, of a slow sensor, for so long, and at least so many …
 STUCK_TRAVEL_M = 0.005  # … while the tool moves so far along z are a stuck-at fault
@@ -217,9 +215,10 @@ def update_health(params, adaptive, sense, stuck):
     elif stuck:
         candidate, reason = STUCK, REASON_STUCK
     elif estimate.samples == 0 or is_dropout(adaptive):
-        edge_m = min(hold.range_m - params.range_min_m, params.range_max_m - hold.range_m)
-        reached_m = WINDOW_EDGE_M + math.sqrt(estimate.slope_power) * adaptive.sample.spacing_m
-        if estimate.samples > 0 and edge_m < reached_m:
+        next_m = predict_range(adaptive.prediction, adaptive.prediction.interval_s)
+        nearest_m, farthest_m = min(hold.range_m, next_m), max(hold.range_m, next_m)
+        edge_m = min(nearest_m - params.range_min_m, params.range_max_m - farthest_m)
+        if estimate.samples > 0 and edge_m < WINDOW_EDGE_M:
             candidate, reason = OUT_OF_RANGE, REASON_OUTSIDE
         else:
             candidate, reason = DROPOUT, REASON_NO_READING

@@ -26,7 +26,7 @@ DEADBAND_SOFTNESS = 2.5  # in deadbands
 SLOPE_LIMIT = 0.2  # slope that is never clamped …
 SLOPE_LIMIT_RMS = 3.0  # … or multiples of the RMS slope of the last metre …
 HEIGHT_MARGIN_M = 1e-3  # … plus this
-# of the travel since the newest sample of a slow sensor: a valley costs 17 mm more of clearance with 0
+# of the travel since the newest sample of a slow sensor: valleys cost 17 instead of 3 mm of clearance with 0
 # (bench_hazards.py, "valley and slow"), a winch's error is 15 % greater with 1 (bench_scales.py)
 LEVEL_SHARE = 0.5
 
@@ -53,18 +53,20 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     Parameters
     ----------
     adaptive : record of `AdaptiveState` (`bank`, `blend` updated)
-    ahead_m : float64     distance beyond the newest footprint [m]
-    lead_m : float64      distance travelled in the axis' time constant, less in a drop-out [m]
+    ahead_m : float64     distance beyond the newest footprint [m], negative behind it
+    lead_m : float64      distance travelled in the axis' time constant, less in a drop-out [m]; negative:
+                          the tool goes back
     max_slope : float64   limit of the mean slope
     standoff_m : float64  desired height of the tool above the ground [m]
     """
     bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
     extrapolate_bank(bank, ahead_m)
     margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + abs(lead_m))
-    unseen_m = min(max(-adaptive.sample.lead_m, 0.0), max(ahead_m, 0.0))
+    unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
     if is_slow(adaptive):
         unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
-    level_share = unseen_m / (ahead_m + lead_m) if unseen_m > 0.0 else 0.0
+    # a tool that goes back comes to ground that was seen
+    level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
     z = 0.0
     for i in range(N_MODELS):
         change = bank.rise_m[i] + lead_m * bank.slope_ahead[i]
