@@ -181,6 +181,17 @@ def test_readings_that_arrive_later_than_they_did_are_reported(age_ms, late, mou
     assert late or set(seen[300:]) == {""}
 
 
+@pytest.mark.parametrize("readings", [4, 16])
+def test_means_that_begin_with_few_ranges_are_not_late(readings):
+    f, rng = follower(sensor_readings=readings), np.random.default_rng(10)
+    for t in range(4000):
+        if t % 10 == 0:
+            f.pose((1000 + t) * MS, pose(1e-4 * t))
+        r = STANDOFF_M + 1e-4 * rng.standard_normal() if t % 20 == 0 else math.nan
+        f.step((1000 + t - 30 * (t % 20 == 0)) * MS, [r])
+        assert f.state()["reason"] != LATER, t
+
+
 @pytest.mark.parametrize("seed", [0, 2, 3, 5])
 def test_a_leading_sensor_shares_the_correction_of_timestamps(seed):
     """GIVEN hull or terrain WHEN both sensors stamp 100 ms too early for 0.8 s THEN it costs no clearance."""

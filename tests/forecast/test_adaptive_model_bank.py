@@ -110,6 +110,21 @@ def test_a_reversed_bank_goes_back_over_the_same_ground():
         assert np.array_equal(back[name], b[name])
 
 
+def test_a_way_at_a_right_angle_has_slopes_as_unknown_as_at_the_start():
+    start = fresh_bank()
+    b, rng = start.copy(), np.random.default_rng(9)
+    for _ in range(40):
+        bank.propagate_bank(b, 1e-3)
+        bank.update_bank(b, 0.01 + 1e-4 * rng.standard_normal(), 1e-8)
+    oblique = b.copy()
+    bank.turn_bank(b, 0.0)
+    sloping = slice(bank.WAVES)
+    assert not b["x1"][sloping].any()
+    assert b["p11"][sloping] == pytest.approx(start["p11"][sloping])
+    bank.turn_bank(oblique, 0.6)  # 1 − cos² of the variance at the start, and a little that was left
+    assert 0.64 < oblique["p11"][bank.WAVES - 1] / start["p11"][bank.WAVES - 1] < 1.0
+
+
 def test_the_assumed_axis_is_the_simulated_one():
     for d in np.linspace(-0.03, 0.03, 61):
         assert axis_velocity(d, 0.04, 2.0) == pytest.approx(sqrt_velocity(d, 25.0, 2.0, 1e-6), rel=1e-12)

@@ -245,7 +245,8 @@ def follow_heading(adaptive, x_m, y_m):
         return
     way_x, way_y = x_m - sample.x_m, y_m - sample.y_m
     along = way_x * sample.heading_x + way_y * sample.heading_y
-    if is_slow(adaptive) and adaptive.estimate.samples > 0:
+    known = adaptive.estimate.samples > 0  # a first sample has no footprint before it
+    if known and is_slow(adaptive):
         way = math.hypot(way_x, way_y)
         if way <= MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s:
             return
@@ -255,7 +256,7 @@ def follow_heading(adaptive, x_m, y_m):
             sample.lead_m = -sample.lead_m
         sample.heading_x, sample.heading_y = way_x / way, way_y / way
         return
-    if has_turned_back(adaptive):
+    if known and has_turned_back(adaptive):
         if along >= 0.0:
             return  # the footprint is still ahead of the one before
         turn_estimate(adaptive, -1.0)
