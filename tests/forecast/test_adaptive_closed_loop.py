@@ -319,7 +319,7 @@ def test_a_leading_sensor_whose_tool_stops_on_a_ramp(mount_m, speed_mps, slope, 
 def test_wrong_readings_of_a_burst_seldom_agree():
     """GIVEN bursts of 50 ms, each reading wrong by up to 10 mm THEN chance seldom confirms a step.
 
-    Two readings agreed when they differed by less than the gate: 58 of 360 bursts moved the tool, now 11.
+    Two readings agreed when they differed by less than the gate: 58 of 360 bursts moved the tool, now 10.
     """
     moved, job = 0, Job(seconds=60.0)
     for seed in range(6):
