@@ -13,26 +13,26 @@ from arbiter.arbiter_process import ArbiterProcess
 from running_service import run_command, until
 from surffollow.apps.run_by_holder import RunByHolder
 from surffollow.apps.shared_demo import arbiter_text
-from surffollow.apps.shared_tool import ReportedPoses, ToolStatus, attach_arbitrated, follow
+from surffollow.apps.shared_tool import RECENT, ReportedPoses, attach_arbitrated, follow
 from surffollow.arbiter import attach
-from surffollow.blocks import mem_attach
 
 POSE = (0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0)
 
 
-def test_reported_poses_are_found_by_their_stamps_and_the_oldest_forgotten():
-    name = f"poses{time.time_ns() & 0xFFFFFFFF:x}"
-    with ReportedPoses(name) as poses:
+def test_the_newest_poses_are_found_by_their_timestamps(service, shared):
+    """GIVEN a robot that reported more poses than are kept THEN all that are kept are found at once."""
+    with ReportedPoses(shared.name) as poses:
         assert poses.at(1) is None
-        with mem_attach({"tool_status": ToolStatus}, name, write=True) as memory:
-            seen = []
-            for t_ns in range(1, ReportedPoses.KEPT + 11):
-                with memory["tool_status"].write() as status:
-                    status.t_ns, status.pose = t_ns, (float(t_ns), *POSE[1:])
-                seen.append(until(lambda t_ns=t_ns: poses.at(t_ns)))
-            assert seen[-1] == (74.0, *POSE[1:])
-            assert poses.at(11) == (11.0, *POSE[1:])
-            assert poses.at(10) is None
+        robot = attach_arbitrated(service.name, shared.name, "tool")
+        robot.claim_pose()
+        now_ns = time.monotonic_ns()
+        stamps = [now_ns + k for k in range(RECENT + 3)]
+        for k, t_ns in enumerate(stamps):
+            robot.ee_pos((1e-3 * k, *POSE[1:]), t_ns)
+        until(lambda: poses.at(stamps[-1]))
+        assert [poses.at(t_ns) for t_ns in stamps[3:]] == [(1e-3 * k, *POSE[1:]) for k in range(3, RECENT + 3)]
+        assert [poses.at(t_ns) for t_ns in (0, *stamps[:3])] == [None] * 4
+        robot.close()
 
 
 @pytest.mark.parametrize("combine", ["priority", "sum"])

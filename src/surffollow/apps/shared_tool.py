@@ -21,14 +21,17 @@ from surffollow.shm.closing import Closing
 
 FOLLOW_PERIOD_S, WAIT_S = 0.002, 0.5
 LOOK_EVERY_NS = 20_000_000
+RECENT = 16  # poses in a status: a reader that is as many reports behind still finds that of its demand
 SIX = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class ToolStatus(Block):
-    """The newest pose that a robot reported."""
+    """The newest poses that a robot reported."""
 
-    t_ns = I64(unit="ns", doc="when it was true, CLOCK_MONOTONIC")
+    t_ns = I64(unit="ns", doc="when the newest pose was true, CLOCK_MONOTONIC")
     pose = F64(7, unit="m, 1", doc="x y z qx qy qz qw, world from tool")
+    recent_t_ns = I64(RECENT, unit="ns", doc="timestamps of the newest poses, in no order; 0: none")
+    recent_pose = F64(7 * RECENT, unit="m, 1", doc="those poses, seven numbers each")
 
 
 class ToolDemand:
@@ -57,6 +60,7 @@ class ArbitratedService:
         self._service = service
         self._run = RunByHolder(service, arbiter, resource, follower)
         self._reader: CommandReader = command_reader(arbiter, resource)
+        self._reports = 0
         try:
             self._memory: Memory = mem_attach({"tool_status": ToolStatus}, arbiter, write=True)
         except BaseException:
@@ -69,9 +73,12 @@ class ArbitratedService:
             time.monotonic_ns() if t_ns is None else t_ns
         )  # one timestamp for both: demands are found by it
         self._service.ee_pos(pose, t_ns)
+        slot, self._reports = self._reports % RECENT, self._reports + 1
         with self._memory["tool_status"].write(0.001) as status:
-            status.t_ns = t_ns
-            status.pose = pose
+            status.t_ns, status.pose = t_ns, pose
+            status.array("recent_t_ns")[slot], poses = t_ns, status.array("recent_pose")
+            for k, value in enumerate(pose):
+                poses[7 * slot + k] = value
 
     def dev_vector(self) -> ToolDemand:
         """The newest combined demand; never waits."""
@@ -100,13 +107,10 @@ def attach_arbitrated(service: str, arbiter: str, resource: str) -> ArbitratedSe
 
 
 class ReportedPoses(Closing):
-    """The newest poses that a robot reported, by timestamp, from its status block; it may be absent."""
-
-    KEPT = 64
+    """The newest poses that a robot reported, by timestamp, from its status block, which may be absent."""
 
     def __init__(self, arbiter: str) -> None:
         self._memory = mem_attach({"tool_status": ToolStatus}, arbiter, lazy=True)
-        self._poses: dict[int, tuple[float, ...]] = {}
         self._next_ns = 0
 
     def at(self, t_ns: int) -> tuple[float, ...] | None:
@@ -120,12 +124,11 @@ class ReportedPoses(Closing):
                 block.attach_reader()
             except (NotRunningError, BlockError):
                 return None
-        newest = block.latest()
-        if newest.generation:
-            self._poses[int(newest["t_ns"])] = tuple(newest["pose"])
-            while len(self._poses) > self.KEPT:
-                del self._poses[next(iter(self._poses))]
-        return self._poses.get(t_ns)
+        status = block.latest()
+        if not status.generation or t_ns not in (stamps := list(status["recent_t_ns"])):
+            return None
+        slot = stamps.index(t_ns)
+        return tuple(status["recent_pose"][7 * slot : 7 * slot + 7])
 
     def close(self) -> None:
         """Detach."""
