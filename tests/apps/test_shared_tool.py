@@ -30,7 +30,8 @@ def test_the_newest_poses_are_found_by_their_timestamps(service, shared):
         for k, t_ns in enumerate(stamps):
             robot.ee_pos((1e-3 * k, *POSE[1:]), t_ns)
         until(lambda: poses.at(stamps[-1]))
-        assert [poses.at(t_ns) for t_ns in stamps[3:]] == [(1e-3 * k, *POSE[1:]) for k in range(3, RECENT + 3)]
+        kept = [(1e-3 * k, *POSE[1:]) for k in range(3, RECENT + 3)]
+        assert [poses.at(t_ns) for t_ns in stamps[3:]] == kept
         assert [poses.at(t_ns) for t_ns in (0, *stamps[:3])] == [None] * 4
         robot.close()
 
