@@ -201,17 +201,15 @@ def accept_sample(params, gate):
 @jit
 def register_step(params, gate, t_ns):
     """Take the pending samples as a step confirmed at `t_ns`."""
-    n = gate.pending
-    if gate.travel_since_step_m < params.step_travel_m and gate.pending_innovation_m * gate.step_m < 0.0:
-        gate.slot_likelihood = 0.5  # it came back within the width of a slot: the step before was a slot
-    # after a start in a slot the ground outside it says nothing about steps
-    began_in_slot = (
-        gate.step_ns == 0
-        and gate.travel_since_step_m < params.step_travel_m
-        and gate.pending_innovation_m > 0.0
-    )
+    # ground that is nearer again within the width of a slot: the fall before was a slot, or the path began in
+    # one; where the ground outside it begins says nothing about steps
+    width_m = gate.travel_since_step_m - gate.pending_travel_m
+    fell = gate.step_m < 0.0 or gate.step_ns == 0
+    leaves_slot = fell and gate.pending_innovation_m > 0.0 and width_m < params.step_travel_m
+    if leaves_slot and gate.step_ns != 0:
+        gate.slot_likelihood = 1.0
     gate.travel_since_step_m = 0.0
-    gate.step_m = 0.0 if began_in_slot else gate.pending_innovation_m / n
+    gate.step_m = 0.0 if leaves_slot else gate.pending_innovation_m / gate.pending
     gate.step_ns = t_ns
     gate.pending = gate.rejected = 0
     gate.withheld_m = 0.0
