@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
+from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.hazard_scenarios import FAR_M, NEAR_M, SIGMA_M, STANDOFF_M, draw
 from surffollow.benchmark.hazards import PLoop, play
+from surffollow.benchmark.runner import run_method, scene_of, score_run
+from surffollow.benchmark.suite import Cell
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_RUN
 
 MS = 1_000_000
@@ -80,6 +83,14 @@ def test_a_good_sensor_on_a_long_fall_answers_a_small_shift_without_a_hold(read,
     on_fall = heights[200:] - STANDOFF_M
     assert abs(on_fall).max() < 6.0 * SIGMA_M
     assert on_fall.min() > -3.0 * SIGMA_M, "the shift points away from the surface"
+
+
+@pytest.mark.parametrize("seed", [1408, 1414, 1418])
+def test_a_sensor_that_leads_answers_the_shift_too(seed):
+    """GIVEN steep ramps and a sensor that leads THEN no hold: 0.8 to 0.9 mm while plans undid the shift."""
+    cell = Cell("ramp-20", 0.4, Conditions().but(lead_m=0.05))
+    scene = scene_of(cell, seed)
+    assert score_run(scene, *run_method("ours", scene)).rms_m < 0.25e-3
 
 
 @pytest.mark.parametrize("family", ["blocked", "frozen"])

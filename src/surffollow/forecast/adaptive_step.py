@@ -32,7 +32,7 @@ from surffollow.forecast.sensing.kinematics import (
     update_kinematics,
 )
 from surffollow.forecast.sensing.measurement import process_sample
-from surffollow.forecast.sensing.response import is_unresponsive
+from surffollow.forecast.sensing.response import is_unresponsive, setpoint_shift_m
 from surffollow.forecast.sensing.standoff import standoff_height
 from surffollow.forecast.setpoint.preview_control import plan_setpoint
 from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, filter_setpoint, permitted_setpoint
@@ -141,12 +141,12 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     if known >= MIN_KNOWN_PERIODS:
         z, v = predict_axis(params, adaptive, latch_ns)
         extrapolate_ground(adaptive, known, adaptive.estimate.arc_length_m + at_latch_m, bias_m)
-        plan_setpoint(params, adaptive, known, z, v, standoff_m)
+        plan_setpoint(params, adaptive, known, z, v, standoff_m + setpoint_shift_m(adaptive.response))
 
 
 @jit
 def target_of_preview(params, adaptive, target_m, standoff_m):
-    """Setpoint before the limits: the filtered blend, and the plan by its share [m].
+    """Setpoint before the limits: the filtered blend and its shift, and the plan by its share [m].
 
     A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
 
@@ -161,7 +161,7 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
         rate = (preview.ground_m[1] - preview.ground_m[0]) / PERIOD_S
         lead_s = adaptive.plant.tau_s + mean_wait_s(params, adaptive.controller)
         target_m = preview.ground_m[0] + rate * lead_s + standoff_m
-    target_m = filter_setpoint(params, adaptive, target_m)
+    target_m = filter_setpoint(params, adaptive, target_m) + setpoint_shift_m(adaptive.response)
     planned = adaptive.plan.setpoint_m
     if preview.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
         planned = max(planned, lowest_plan(adaptive.known, target_m))

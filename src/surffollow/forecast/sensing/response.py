@@ -207,10 +207,14 @@ def is_unresponsive(response):
 
 
 @jit
+def setpoint_shift_m(response):
+    """Height by which the setpoint is shifted up in a run, of blend and plan alike [m]."""
+    return response.lift_m if response.phase == RESPONSE_RUN else 0.0
+
+
+@jit
 def raised_target(response, target_m):
-    """Setpoint target, raised by the response test in progress [m]."""
-    if response.phase == RESPONSE_RUN:
-        return target_m + response.lift_m
+    """Setpoint target, raised by a hold or a lift in progress [m]."""
     if response.phase == RESPONSE_HOLD:
         return max(target_m, response.test_z_m)
     if response.phase == RESPONSE_LIFT:
