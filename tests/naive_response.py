@@ -20,12 +20,15 @@ class NaiveResponse:
     sigma_m: float
     gap_s: float
     lead_m: float = 0.0
+    delay_s: float = 0.0
+    rotation_failed: bool = False
     phase: str = RUN
     readings: list[float] = field(default_factory=list)
     last_ns: int | None = None
     noise_m: float = 0.0
     usual_m: float = 0.0
     began_quiet: bool = False
+    settled_ns: int = 0
 
     def _begin_run(self, t_ns: int, z_m: float) -> None:
         self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
@@ -49,7 +52,7 @@ class NaiveResponse:
         """One sample of the sensor, with the height of the tool at its time."""
         dt_s = None if self.last_ns is None else (t_ns - self.last_ns) * 1e-9
         if dt_s is None or not 0.0 < dt_s <= self.gap_s:
-            self.mean_m = range_m
+            self.mean_m, self.settled_ns = range_m, 0
             self._begin_run(t_ns, z_m)
         self.last_ns = t_ns
         self.readings.append(range_m)
@@ -70,8 +73,13 @@ class NaiveResponse:
         self.noisy = self.noise_m >= r.QUIET_SHARE * self.usual_m
         noise_is_back = self.phase == NONE and self.began_quiet and self.noisy
         if abs(self.mean_m - self.run_m) > allowed_m or noise_is_back:
+            if self.phase != RUN or self.shift_m > 0.0:
+                back_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s
+                self.settled_ns = t_ns + int(1e9 * back_s)
             self._begin_run(t_ns, z_m)
             self.usual_m = min(self.usual_m, self.noise_m / r.QUIET_SHARE)
+        elif self.phase == RUN and t_ns < self.settled_ns:
+            self._begin_run(t_ns, z_m)
         elif self.phase == RUN:
             self._look_for_a_descent(t_ns, z_m)
         elif self.phase == HOLD:
@@ -103,16 +111,16 @@ class NaiveResponse:
         )
         if long and self.shift_ns is None and (doubtful or descent_m > r.SHIFT_DESCENT * self.standoff_m):
             self.shift_ns, self.shift_m = t_ns, r.SHIFT_BANDS * self.band_m
-        allowed_s = r.STOP_TAUS * self.tau_s + r.MIN_MEANS * self.number * self.interval_s
+        allowed_s = self.delay_s + r.STOP_TAUS * self.tau_s + r.MIN_MEANS * self.number * self.interval_s
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > allowed_s
         begun = self.in_run > r.MIN_MEANS * self.number
-        if (long and far) or unanswered or (begun and enough and (wrong or quiet)):
+        if (long and far) or unanswered or (begun and enough and (wrong or quiet or self.rotation_failed)):
             self.phase, self.begin_ns, self.begin_z_m, self.rate_mps = HOLD, t_ns, z_m, rate_mps
             self.began_quiet = quiet
 
     def _hold(self, t_ns: int, z_m: float) -> None:
         since_s = (t_ns - self.begin_ns) * 1e-9
-        not_descended_m = self.rate_mps * (since_s - r.STOP_TAUS * self.tau_s)
+        not_descended_m = self.rate_mps * (since_s - self.delay_s - r.STOP_TAUS * self.tau_s)
         if not_descended_m > r.MOTION_BANDS * self.band_m or since_s > r.MAX_PHASE_TAUS * self.tau_s:
             self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
             self.lift_m, self.lifted = r.MOTION_BANDS * self.band_m, 0

@@ -62,13 +62,6 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "chance penalty": [("model_weights", "chance = s * s", "chance = 0.0 * s * s")],
     "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],
-    "burn-in of the index": [
-        (
-            "model_weights",
-            "FULL_POWER_SAMPLES, min(weights.scored / n_b, 1.0)",
-            "FULL_POWER_SAMPLES, 1.0",
-        )
-    ],
     "effort power": [
         (
             "model_weights",
@@ -76,15 +69,13 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.0, 0.0",
         )
     ],
-    "effort in the index": [("model_weights", "extra = floor + mu_2 *", "extra = floor + 0.0 * mu_2 *")],
     "second sample in the gate": [
         ("innovation_gate", "if not inner * gate_m < abs(innovation_m) <= gate_m or", "if inner >= 0.0 or")
     ],
     "likelihood of slots": [
         ("innovation_gate", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 1.0")
     ],
-    "settling after a start": [("estimate", "(INITIAL_SETTLING_NS if fresh", "(0 if fresh")],
-    "settling after a loss": [("estimate", "if fresh else SETTLING_NS)", "if fresh else 0)")],
+    "settling after a start or a loss": [("estimate", "SETTLING_NS = 60_000_000", "SETTLING_NS = 0")],
     "clamp of the slope": [("setpoint_blend", "SLOPE_LIMIT = 0.2", "SLOPE_LIMIT = 1e6")],
     "step taken back in a loss": [
         (
@@ -131,18 +122,10 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         ("model_bank", "slopes += [(SLOPE, _STRAIGHT_M, qs, 3e-3) for qs in (0.15, 1.0)]", "pass")
     ],
     "longer horizon": [
-        (
-            "model_weights",
-            "index += p_l * math.log(weights.longer_m2",
-            "index += 0.0 * math.log(weights.longer_m2",
-        )
+        ("model_weights", "c += p_l * math.log(weights.longer_m2", "c += 0.0 * math.log(weights.longer_m2")
     ],
     "recent horizon": [
-        (
-            "model_weights",
-            "index = p_j * math.log(weights.recent_m2",
-            "index = 0.0 * math.log(weights.recent_m2",
-        )
+        ("model_weights", "c = p_j * math.log(weights.recent_m2", "c = 0.0 * math.log(weights.recent_m2")
     ],
     "noise subtracted from the index": [
         ("model_weights", "noise_j = params.noise_share", "noise_j = 0.0"),
@@ -162,7 +145,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
     "test of the response": [("response", "if far or late or (", "if False and (")],
-    "shift before a hold": [("response", "SHIFT_DESCENT = 0.3", "SHIFT_DESCENT = 1e9")],
+    "shift before a hold": [("response", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
 }
 
 

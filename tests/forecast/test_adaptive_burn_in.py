@@ -140,7 +140,7 @@ def evaluated(samples, scored):
     return a
 
 
-def test_the_variance_penalty_acts_during_burn_in_only():
+def test_the_variance_penalty_acts_until_enough_samples_are_scored():
     bold = 10
     shares = []
     for samples, scored in (

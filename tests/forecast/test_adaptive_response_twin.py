@@ -10,9 +10,11 @@ from surffollow.forecast.sensing.response import (
     observe_response,
     raised_target,
     reset_response,
+    setpoint_shift_m,
 )
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN
 
 from .feeding import default_params
 
@@ -31,7 +33,10 @@ def states_seen(seed: int) -> set[str]:
     adaptive["plant"]["tau_s"], adaptive["noise"]["sigma_m"] = tau_s, SIGMA_M
     adaptive["prediction"]["interval_s"], adaptive["sample"]["lead_m"] = interval_s, lead_m
     reset_response(adaptive["response"])
-    twin = NaiveResponse(tau_s, interval_s, STANDOFF_M, SIGMA_M, GAP_S, lead_m)
+    adaptive["latency"]["delay_s"] = delay_s = float(rng.choice([0.0, 0.04]))
+    rotation_failed = bool(rng.random() < 0.2)
+    adaptive["rotation"]["phase"] = ROTATION_FAILED if rotation_failed else ROTATION_RUN
+    twin = NaiveResponse(tau_s, interval_s, STANDOFF_M, SIGMA_M, GAP_S, lead_m, delay_s, rotation_failed)
     seen, t_ns, z, ground, stuck = set(), 1_000_000, STANDOFF_M, 0.0, None
     in_kernel, in_twin = [], []
     slope, noisy = 0.0, True
@@ -52,7 +57,10 @@ def states_seen(seed: int) -> set[str]:
         in_kernel.append([record[n] for n in ESTIMATES])
         in_twin.append((twin.mean_m, twin.run_m, twin.noise_m, twin.usual_m, twin.top_z_m))
         target = z + STANDOFF_M - read
-        asked, expected = raised_target(record, target), twin.raised_target_m(target)
+        asked, expected = (
+            raised_target(record, target + setpoint_shift_m(record)),
+            twin.raised_target_m(target),
+        )
         assert abs(asked - expected) <= max(1e-12, 1e-6 * abs(expected)), (seed, k)
         z += (asked - z) * min(1.0, interval_s / tau_s)
         seen.add(twin.phase)

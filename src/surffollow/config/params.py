@@ -53,7 +53,6 @@ PARAMS: dict[str, ParamSpec] = {
     "score_power": ParamSpec(10.0, 0.0, 100.0),
     "long_power": ParamSpec(3.0, 0.0, 100.0),
     "long_factor": ParamSpec(12.0, 1.0, 1e3),
-    "effort_m": ParamSpec(2.5e-6, 0.0, 1e4),
     "noise_share": ParamSpec(0.97, 0.0, 1.0),
     "score_floor_m": ParamSpec(3e-5, 1e-9, 10.0, "m"),
     "gate_scales": ParamSpec(8.0, 1.0, 1e3),

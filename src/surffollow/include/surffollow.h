@@ -79,7 +79,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 3u
-#define SF_LAYOUT_HASH UINT64_C(746142486071537084)
+#define SF_LAYOUT_HASH UINT64_C(2394532380101596385)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -301,7 +301,7 @@ typedef struct sf_param_info {
   double low, high;
 } sf_param_info;
 
-#define SF_PARAMS 49
+#define SF_PARAMS 48
 #define SF_PARAM_ENDINGS "", "_m", "_mps", "_mps2", "_mps3", "_ns", "_rad", "_radps", "_radps2", "_s", "_s4"
 static inline const sf_param_info *sf_param_table(void) {
   static const sf_param_info table[SF_PARAMS] = {
@@ -330,30 +330,29 @@ static inline const sf_param_info *sf_param_table(void) {
     {"score_power", 95, 0, 0.0, 100.0},
     {"long_power", 96, 0, 0.0, 100.0},
     {"long_factor", 97, 0, 1.0, 1000.0},
-    {"effort_m", 98, 0, 0.0, 10000.0},
-    {"noise_share", 99, 0, 0.0, 1.0},
-    {"score_floor_m", 100, 0, 1e-09, 10.0},
-    {"gate_scales", 101, 0, 1.0, 1000.0},
-    {"gate_m", 102, 0, 0.0, 1000.0},
-    {"step_travel_m", 103, 0, 0.0, 1000.0},
-    {"step_samples", 104, 1, 1.0, 100.0},
-    {"max_wait_s", 105, 0, 0.0, 100.0},
-    {"plan_effort_s4", 106, 0, 0.0, 1000000000000.0},
-    {"orient", 107, 1, 0.0, 1.0},
-    {"max_turn_rad", 108, 0, 0.0, 1.6},
-    {"permitted_turn_rad", 109, 0, 0.0, 1.6},
-    {"deadband_share", 110, 0, 0.0, 10.0},
-    {"adapt", 111, 1, 0.0, 1.0},
-    {"hold_ns", 112, 1, 0.0, 10000000000.0},
-    {"dropout_travel_m", 113, 0, 1e-06, 10000.0},
-    {"max_speed_mps", 114, 0, 1e-08, 100000000.0},
-    {"max_accel_mps2", 115, 0, 1e-09, 10000000000000.0},
-    {"max_jerk_mps3", 116, 0, 1e-12, 1000000000000000.0},
-    {"toward_factor", 117, 0, 0.01, 1.0},
-    {"max_turn_speed_radps", 118, 0, 1e-06, 10000.0},
-    {"max_turn_accel_radps2", 119, 0, 1e-09, 100000000.0},
-    {"max_tilt_rad", 120, 0, 0.0, 1.5},
-    {"preview", 121, 1, 0.0, 1.0},
+    {"noise_share", 98, 0, 0.0, 1.0},
+    {"score_floor_m", 99, 0, 1e-09, 10.0},
+    {"gate_scales", 100, 0, 1.0, 1000.0},
+    {"gate_m", 101, 0, 0.0, 1000.0},
+    {"step_travel_m", 102, 0, 0.0, 1000.0},
+    {"step_samples", 103, 1, 1.0, 100.0},
+    {"max_wait_s", 104, 0, 0.0, 100.0},
+    {"plan_effort_s4", 105, 0, 0.0, 1000000000000.0},
+    {"orient", 106, 1, 0.0, 1.0},
+    {"max_turn_rad", 107, 0, 0.0, 1.6},
+    {"permitted_turn_rad", 108, 0, 0.0, 1.6},
+    {"deadband_share", 109, 0, 0.0, 10.0},
+    {"adapt", 110, 1, 0.0, 1.0},
+    {"hold_ns", 111, 1, 0.0, 10000000000.0},
+    {"dropout_travel_m", 112, 0, 1e-06, 10000.0},
+    {"max_speed_mps", 113, 0, 1e-08, 100000000.0},
+    {"max_accel_mps2", 114, 0, 1e-09, 10000000000000.0},
+    {"max_jerk_mps3", 115, 0, 1e-12, 1000000000000000.0},
+    {"toward_factor", 116, 0, 0.01, 1.0},
+    {"max_turn_speed_radps", 117, 0, 1e-06, 10000.0},
+    {"max_turn_accel_radps2", 118, 0, 1e-09, 100000000.0},
+    {"max_tilt_rad", 119, 0, 0.0, 1.5},
+    {"preview", 120, 1, 0.0, 1.0},
   };
   return table;
 }
@@ -433,7 +432,6 @@ typedef struct sf_params {
   double score_power; /* adaptive: exponent of the weights over the recent horizon */
   double long_power; /* adaptive: exponent of the weights over the longer horizon */
   double long_factor; /* adaptive: longer horizon, as a multiple of the recent one */
-  double effort_m; /* [m s^2/m] adaptive: stand-off error equal to a setpoint acceleration of 1 m/s^2 */
   double noise_share; /* adaptive: share of the noise subtracted from the model errors */
   double score_floor_m; /* [m] adaptive: stand-off errors below this count as none */
   double gate_scales; /* adaptive: width of the innovation gate, in usual innovations */
@@ -459,7 +457,7 @@ typedef struct sf_params {
   int64_t preview; /* adaptive: 1: preview control over remembered ground (in the service: its map) */
   int64_t stop_on; /* causes that latch the stop, bits of STOP_NAMES; set by the configuration alone */
 } sf_params;
-SF_STATIC_ASSERT(sizeof(sf_params) == 984, "layout of sf_params");
+SF_STATIC_ASSERT(sizeof(sf_params) == 976, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, mode) == 0, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, run) == 8, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, offset_m) == 16, "layout of sf_params");
@@ -489,31 +487,30 @@ SF_STATIC_ASSERT(offsetof(sf_params, score_time_s) == 752, "layout of sf_params"
 SF_STATIC_ASSERT(offsetof(sf_params, score_power) == 760, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, long_power) == 768, "layout of sf_params");
 SF_STATIC_ASSERT(offsetof(sf_params, long_factor) == 776, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, effort_m) == 784, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, noise_share) == 792, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, score_floor_m) == 800, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, gate_scales) == 808, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, gate_m) == 816, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, step_travel_m) == 824, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, step_samples) == 832, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_wait_s) == 840, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, plan_effort_s4) == 848, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, orient) == 856, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_turn_rad) == 864, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, permitted_turn_rad) == 872, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, deadband_share) == 880, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, adapt) == 888, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, hold_ns) == 896, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, dropout_travel_m) == 904, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 912, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 920, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 928, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 936, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_turn_speed_radps) == 944, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_turn_accel_radps2) == 952, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, max_tilt_rad) == 960, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, preview) == 968, "layout of sf_params");
-SF_STATIC_ASSERT(offsetof(sf_params, stop_on) == 976, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, noise_share) == 784, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, score_floor_m) == 792, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, gate_scales) == 800, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, gate_m) == 808, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, step_travel_m) == 816, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, step_samples) == 824, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_wait_s) == 832, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, plan_effort_s4) == 840, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, orient) == 848, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_turn_rad) == 856, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, permitted_turn_rad) == 864, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, deadband_share) == 872, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, adapt) == 880, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, hold_ns) == 888, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, dropout_travel_m) == 896, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_speed_mps) == 904, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_accel_mps2) == 912, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_jerk_mps3) == 920, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, toward_factor) == 928, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_turn_speed_radps) == 936, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_turn_accel_radps2) == 944, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, max_tilt_rad) == 952, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, preview) == 960, "layout of sf_params");
+SF_STATIC_ASSERT(offsetof(sf_params, stop_on) == 968, "layout of sf_params");
 
 /* Output of a cycle. */
 typedef struct sf_output {

@@ -103,6 +103,7 @@ class Response(Schema):
     rate_mps = F64(unit="m/s", doc="descent before the test")
     quiet = I64(doc="1: the test began with far less than the usual noise")
     lift_m = F64(unit="m", doc="height of the lift, or shift of the setpoint in a long run")
+    settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")
     recent_m = F64(2, unit="m", doc="the newest ranges")
     samples = I64(doc="samples since the begin")
     noise_m = F64(unit="m", doc="noise of the ranges lately")

@@ -94,9 +94,6 @@ class Params(Schema):
     score_power = F64(doc="adaptive: exponent of the weights over the recent horizon")
     long_power = F64(doc="adaptive: exponent of the weights over the longer horizon")
     long_factor = F64(doc="adaptive: longer horizon, as a multiple of the recent one")
-    effort_m = F64(
-        unit="m s^2/m", doc="adaptive: stand-off error equal to a setpoint acceleration of 1 m/s^2"
-    )
     noise_share = F64(doc="adaptive: share of the noise subtracted from the model errors")
     score_floor_m = F64(unit="m", doc="adaptive: stand-off errors below this count as none")
     gate_scales = F64(doc="adaptive: width of the innovation gate, in usual innovations")

@@ -19,9 +19,9 @@ from surffollow.forecast.sensing.response import (
     MIN_MEANS,
     MOTION_BANDS,
     RUN_SAMPLES,
-    STOP_TAUS,
     TEST_BAND_FACTOR,
     is_suspicious,
+    stop_s,
 )
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import (
@@ -124,7 +124,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
             rotation.rate_radps = rate
             _begin_phase(rotation, ROTATION_HOLD, t_ns, axis)
     elif rotation.phase == ROTATION_HOLD:
-        missing = rotation.rate_radps * ((t_ns - rotation.test_ns) * 1e-9 - STOP_TAUS * tau_s)
+        missing = rotation.rate_radps * ((t_ns - rotation.test_ns) * 1e-9 - stop_s(adaptive))
         if missing > MOTION_BANDS * band:
             rotation.probe_rad, rotation.probe_samples = MOTION_BANDS * band, 0
             _begin_phase(rotation, ROTATION_PROBE, t_ns, axis)

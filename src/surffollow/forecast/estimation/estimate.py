@@ -54,8 +54,7 @@ from surffollow.forecast.terrain.terrain_regression import reset_mean, update_re
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-# after a start and after a loss the performance index waits until setpoints have acted
-INITIAL_SETTLING_NS, SETTLING_NS = 60_000_000, 150_000_000
+SETTLING_NS = 60_000_000  # after a start or a loss the performance index waits until setpoints have acted
 GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
 STEEPEST_SLOPE = 1.0  # of the ground, over the travel since the last accepted sample
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
@@ -129,7 +128,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     note_accepted(adaptive, t_ns)
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = t_ns
-    estimate.settle_ns = t_ns + (INITIAL_SETTLING_NS if fresh else SETTLING_NS)
+    estimate.settle_ns = t_ns + SETTLING_NS
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
     store_ground(adaptive, estimate.arc_length_m, h_m)
     reset_mean(adaptive.regression, h_m)

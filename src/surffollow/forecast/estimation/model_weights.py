@@ -20,11 +20,11 @@ from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
 
 NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
-VARIANCE_PENALTY = 3.0  # power of the models' own variance during burn-in
+VARIANCE_PENALTY = 3.0  # power of the models' own variance after an initialisation
 WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
 WEIGHT_INTERVAL_S = 0.005  # quicker sensors do not update the weights with each sample
 MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
-BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # samples for the full index, and for its full power
+BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # of the variance penalty; samples for the index' full power
 MIN_BURN_IN_SHARE = 0.03  # of these samples: errors far beyond the noise are significant after a few
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 5.0])[BANK[:, 0].astype(np.int64)]
@@ -83,12 +83,10 @@ def compute_costs(params, adaptive):
 
     Notes
     -----
-    With ε_i² = ε² + μ² E_i:
+        c_i = p_J ln(J_i − σ_J² + ε²) + p_L ln(L_i − σ_L² + ε²) + p_E ln(1 + E_i/E_0) + C_i + V_i
 
-        c_i = β [p_J ln(J_i − σ_J² + ε_i²) + p_L ln(L_i − σ_L² + ε_i²) + p_E ln(1 + E_i/E_0)] + C_i + V_i
-
-    S is the noise share of the least J_i, α the progress of the scoring, β that of the burn-in over n_b
-    samples. The other symbols are those of docs/explanation/following.md.
+    S is the noise share of the least J_i, α the progress of the scoring. The other symbols are those of
+    docs/explanation/following.md.
     """
     shadow, weights, noise_m = adaptive.shadow, adaptive.weights, adaptive.noise.sigma_m
     least_j, least_l = weights.recent_m2[0], weights.longer_m2[0]
@@ -96,28 +94,24 @@ def compute_costs(params, adaptive):
         least_j, least_l = min(least_j, weights.recent_m2[i]), min(least_l, weights.longer_m2[i])
     # differences below the noise are small but significant; great errors come from few places
     s = noise_fraction(least_j, noise_m)
-    # few samples give no significance; fine differences need many
-    n_b = BURN_IN_SAMPLES * max(s * s, MIN_BURN_IN_SHARE)
-    alpha, beta = weights.scored / FULL_POWER_SAMPLES, min(weights.scored / n_b, 1.0)
-    p_l = params.long_power
+    alpha, p_l = weights.scored / FULL_POWER_SAMPLES, params.long_power
     p_j = p_l + (params.score_power - p_l) * (s * s * alpha * alpha)
     p_e = ROUGH_EFFORT_POWER * ((1.0 - s) * (1.0 - s)) + BURN_IN_EFFORT_POWER * s * s * (1.0 - alpha)
     noise_j = params.noise_share * min(noise_m * noise_m, least_j)
     noise_l = params.noise_share * min(noise_m * noise_m, least_l)
-    floor, mu_2 = params.score_floor_m * params.score_floor_m, params.effort_m * params.effort_m
+    floor = params.score_floor_m * params.score_floor_m
     chance = s * s * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * alpha)
-    # during the burn-in, and after an initialisation, the models' own variance decides
-    variance_share = max(1.0 - beta, 1.0 - adaptive.estimate.samples / n_b)
+    # after an initialisation the models' own variance decides; fine differences need many scored samples
+    n_b = BURN_IN_SAMPLES * max(s * s, MIN_BURN_IN_SHARE)
+    variance_share = 1.0 - min(adaptive.estimate.samples, weights.scored) / n_b
     if adaptive.sample.lead_m > MIN_LEAD_M:
         variance_share = 0.0  # the buffered heights are followed, not the models
     ahead_m = adaptive.kinematics.speed_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
     spacing_m = adaptive.kinematics.speed_mps * adaptive.prediction.interval_s
     for i in range(N_MODELS):
-        extra = floor + mu_2 * shadow.effort[i]
-        index = p_j * math.log(weights.recent_m2[i] - noise_j + extra)
-        index += p_l * math.log(weights.longer_m2[i] - noise_l + extra)
-        index += p_e * shadow.log_effort[i]
-        c = beta * index + chance * CHANCE_PENALTY[i]
+        c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
+        c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
+        c += p_e * shadow.log_effort[i] + chance * CHANCE_PENALTY[i]
         if variance_share > 0.0:
             variance_m2 = extrapolation_variance(i, adaptive.bank, ahead_m) + noise_m * noise_m
             c += VARIANCE_PENALTY * variance_share * math.log(variance_m2)

@@ -13,13 +13,19 @@ the shift ends the run; without that, or after a descent by half the stand-off, 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_RUN
+from surffollow.shm.layout_adaptive_sensing import (
+    RESPONSE_FAILED,
+    RESPONSE_HOLD,
+    RESPONSE_LIFT,
+    RESPONSE_RUN,
+    ROTATION_FAILED,
+)
 
 MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
 ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
 SHIFT_ERROR_MOTION = 0.06  # error times descent as above from which a fast sensor is tested by a shift
-SHIFT_DESCENT = 0.3  # of the stand-off: beyond, the setpoint is shifted up …
+SHIFT_DESCENT = 0.25  # of the stand-off: beyond, the setpoint is shifted up …
 SHIFT_BANDS = 2.0  # … by so many bands; an answer spares the hold
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
 QUIET_SHARE = 0.5  # of the usual noise
@@ -31,7 +37,7 @@ MIN_MEAN, MAX_MEAN = 2.0, 8.0  # samples in the mean range: those of a time cons
 BAND_SIGMAS = 3.0  # of the mean: the range has changed …
 TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
 OUTLIER_SIGMAS = 3.0  # one sample moves the mean by no more
-STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift
+STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
 MAX_PHASE_TAUS = 50.0  # after which a tool that does not do as it is asked ends the test
 
 
@@ -137,25 +143,31 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     if long and response.lift_m == 0.0 and (doubtful or descent > SHIFT_DESCENT * standoff_m):
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
     since_s = (t_ns - response.test_ns) * 1e-9
-    late = response.lift_m > 0.0 and since_s > STOP_TAUS * tau + MIN_MEANS * number * interval
-    suspicious = (wrong or not noisy) and perceptible
+    late = response.lift_m > 0.0 and since_s > stop_s(adaptive) + MIN_MEANS * number * interval
+    suspicious = (wrong or not noisy or adaptive.rotation.phase == ROTATION_FAILED) and perceptible
     if far or late or (suspicious and response.run_samples > MIN_MEANS * number):
         response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
         response.rate_mps, response.quiet = rate, 0 if noisy else 1
 
 
 @jit
-def _update_test(response, t_ns, tool_z_m, number, band_m, tau_s):
+def stop_s(adaptive):
+    """Time from the sample that causes a hold or a shift until the tool has obeyed [s]."""
+    return adaptive.latency.delay_s + STOP_TAUS * adaptive.plant.tau_s
+
+
+@jit
+def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
     """Go from a hold to a lift, and from a lift to its end.
 
     Parameters
     ----------
-    response, t_ns, tool_z_m, number, band_m : as in `_update_run`
-    tau_s : float64  time constant of the axis [s]
+    adaptive, t_ns, tool_z_m, number, band_m : as in `_update_run`
     """
+    response, tau_s = adaptive.response, adaptive.plant.tau_s
     since_s = (t_ns - response.test_ns) * 1e-9
     if response.phase == RESPONSE_HOLD:
-        missing = response.rate_mps * (since_s - STOP_TAUS * tau_s)
+        missing = response.rate_mps * (since_s - stop_s(adaptive))
         if missing > MOTION_BANDS * band_m or since_s > MAX_PHASE_TAUS * tau_s:
             response.phase, response.test_ns, response.test_z_m = RESPONSE_LIFT, t_ns, tool_z_m
             response.lift_m, response.count = MOTION_BANDS * band_m, 0
@@ -184,7 +196,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     sigma = max(adaptive.noise.sigma_m, MIN_NOISE_M)
     dt = (t_ns - response.t_ns) * 1e-9
     if response.t_ns == 0 or dt <= 0.0 or dt > gap_s:
-        response.mean_m = range_m
+        response.mean_m, response.settled_ns = range_m, 0
         _begin_run(response, t_ns, tool_z_m)
     response.t_ns = t_ns
     number = min(max(tau / max(adaptive.prediction.interval_s, 1e-6), MIN_MEAN), MAX_MEAN)
@@ -192,12 +204,17 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     _observe_noise(response, range_m)
     band = BAND_SIGMAS * sigma / number**0.5
     if _responds(response, band):
+        if response.phase != RESPONSE_RUN or response.lift_m > 0.0:
+            interval = max(adaptive.prediction.interval_s, 1e-6)
+            response.settled_ns = t_ns + int(1e9 * (stop_s(adaptive) + number * interval))
         _begin_run(response, t_ns, tool_z_m)
         response.usual_m = min(response.usual_m, response.noise_m / QUIET_SHARE)
+    elif response.phase == RESPONSE_RUN and t_ns < response.settled_ns:
+        _begin_run(response, t_ns, tool_z_m)  # the tool is on its way back from a test
     elif response.phase == RESPONSE_RUN:
         _update_run(params, adaptive, t_ns, tool_z_m, number, band)
     else:
-        _update_test(response, t_ns, tool_z_m, number, band, tau)
+        _update_test(adaptive, t_ns, tool_z_m, number, band)
 
 
 @jit
