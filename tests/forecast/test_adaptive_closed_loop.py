@@ -279,6 +279,14 @@ def test_a_sensor_ahead_is_behind_once_the_tool_goes_back(sensor_hz):
     assert follower._state["adaptive"][0]["sample"]["lead_m"] < -0.01  # a mean that begins at 0
 
 
+def test_the_lead_of_a_sensor_is_known_soon_after_a_start_at_rest():
+    """GIVEN five readings per second and a tool that begins to move after 1.5 s THEN its mean is no rest."""
+    job = Job(sensor_hz=5, mount_m=-0.03)
+    places, follower = 1e-4 * np.maximum(np.arange(3000) - 1500, 0), job.follower()
+    clearances_m(job, follower, 0, places, 0.1 * places)
+    assert follower._state["adaptive"][0]["sample"]["lead_m"] == pytest.approx(-0.03, rel=0.1)
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize(
     ("sensor_hz", "speed_mps", "slope"), [(10, 0.1, 0.6), (5, 0.1, 0.6), (2.5, 0.05, 0.5)]

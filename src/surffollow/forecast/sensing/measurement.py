@@ -189,7 +189,8 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
     if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
         gap_x, gap_y = x_m - pose[0] - sample.tip_x_m, y_m - pose[1] - sample.tip_y_m
         lead = distance_along(kinematics, gap_x, gap_y)
-        sample.lead_m += (lead - sample.lead_m) * (USUAL_VALUE_RATE if estimate.samples > 0 else 1.0)
+        known = estimate.samples > 0 and sample.lead_m != 0.0  # a tool that starts at rest has none
+        sample.lead_m += (lead - sample.lead_m) * (USUAL_VALUE_RATE if known else 1.0)
     travel = kinematics.speed_mps * (t_ns - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
     if estimate.samples > 0 and is_slow(adaptive):  # the tool may have turned since the sample before
         travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
