@@ -324,6 +324,28 @@ def test_a_leading_sensor_whose_tool_stops_on_a_ramp(mount_m, speed_mps, slope, 
     assert found[:-1].min() > 0.95 * job.standoff_m
 
 
+@pytest.mark.parametrize("speed_mps", [0.05, 0.2, 0.4])
+@pytest.mark.parametrize(
+    ("standoff_m", "window_m", "drop_m", "scale", "least"),
+    [
+        (0.1, (0.0508, 0.1524), 0.045, 1.0, 0.9),
+        (0.02, (0.008, 0.06), 0.03, 0.25, 0.7),
+        (0.003, (0.001, 0.012), 0.008, 2.0**-5, 0.75),
+    ],
+)
+def test_a_plan_does_not_descend_before_a_cliff(standoff_m, window_m, drop_m, scale, least, speed_mps):
+    """GIVEN a sensor that leads WHEN it sees a drop THEN the tool waits for the edge.
+
+    A plan of least squares alone descends before the edge by half of the drop: 20 to 75 % of the stand-off.
+    """
+    job = Job(standoff_m=standoff_m, window_m=window_m, mount_m=0.05 * scale, sigma_m=0.25e-3 * scale)
+    places, edge = speed_mps * scale * 1e-3 * np.arange(5000), 3500
+    heights = np.where(np.arange(5000) < edge, 0.0, -drop_m)
+    found = clearances_m(job, job.follower(), 0, places, heights, range_late_ms=10)[1000:edge]
+    print(f"least clearance {1e3 * found.min():.2f} mm of {1e3 * standoff_m:g}")
+    assert found.min() > least * standoff_m
+
+
 def test_wrong_readings_of_a_burst_seldom_agree():
     """GIVEN bursts of 50 ms, each reading wrong by up to 10 mm THEN chance seldom confirms a step.
 

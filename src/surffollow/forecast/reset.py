@@ -44,7 +44,7 @@ def reset_all(params, adaptive):
     reset_time_constant(params, adaptive.plant)
     blend.filtered_m = blend.setpoint_m = blend.rate_mps = 0.0
     withdraw_preview(preview)
-    preview.map_bias_m = preview.map_deviation_m = preview.error_m2 = preview.reference_error_m2 = 0.0
+    preview.map_bias_m = preview.map_deviation_m = 0.0
     plan.setpoint_m = 0.0
     plan.acceleration_m[:] = 0.0
     plan.multiplier_m[:] = 0.0

@@ -111,8 +111,6 @@ class Preview(Schema):
     """Preview of the terrain and its share of the setpoint (`preview`)."""
 
     share = F64(doc="share of the planned setpoint, 0 to 1")
-    error_m2 = F64(unit="m^2", doc="recent squared stand-off error of the tool")
-    reference_error_m2 = F64(unit="m^2", doc="the same without preview, over longer")
     suspended_until_ns = I64(unit="ns", doc="no preview until then")
     map_bias_m = F64(unit="m", doc="sensor minus map, mean")
     map_deviation_m = F64(unit="m", doc="sensor minus map, mean deviation beyond the bias")
@@ -134,7 +132,6 @@ class Plan(Schema):
 
     setpoint_m = F64(unit="m", doc="setpoint of the plan")
     position_m = F64(HORIZON, unit="m", doc="planned axis")
-    foreseen_error_m = F64(unit="m", doc="greatest stand-off error that plans contain, decaying")
     early = I64(HORIZON, doc="1: the plan descends there before the ground does")
     bound_m = F64(HORIZON, unit="m", doc="lowest position there without penalty, from the axis' position")
     acceleration_m = F64(HORIZON, unit="m", doc="planned accelerations [m per period²]")

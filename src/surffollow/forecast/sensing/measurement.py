@@ -29,10 +29,9 @@ from surffollow.forecast.sensing.response import is_unresponsive, observe_respon
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
 from surffollow.forecast.sensing.standoff import axis_ground_point, standoff_height
 from surffollow.forecast.terrain.lookahead_sensor import compare_lookahead
-from surffollow.forecast.terrain.preview import compare_map, monitor_error, withdraw_preview
-from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
+from surffollow.forecast.terrain.preview import compare_map, withdraw_preview
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_follow import POSES, RUN_FREEZE, RUN_NORMAL
+from surffollow.shm.layout_follow import POSES, RUN_FREEZE
 
 
 @jit
@@ -72,7 +71,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
         predict_pose(kinematics, sense, t, pose)  # the regression needs other poses
     travel = advance_path(params, adaptive, t, x, y, orients, pose)
     standoff = standoff_height(params, adaptive.plane, sense, orients)
-    if not enter_sample(params, adaptive, t, travel, h, standoff, pose[2], adapt):
+    if not enter_sample(params, adaptive, t, travel, h, standoff, adapt):
         return
     if inputs.n_preview > 0 and not at_rest:
         newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
@@ -201,23 +200,14 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
 
 
 @jit
-def enter_sample(params, adaptive, t_ns, travel_m, h_m, standoff_m, tool_z_m, adapt):
-    """Update the estimate and what depends on it; whether the sample entered.
-
-    Parameters
-    ----------
-    params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt : as in `update_estimate`
-    tool_z_m : float64  height of the tool at the sample's time [m]
-    """
-    sample = adaptive.sample
-    if compare_lookahead(adaptive, sample.arc_length_m, h_m):
+def enter_sample(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
+    """Update the estimate and what depends on it, as in `update_estimate`; whether the sample entered."""
+    if compare_lookahead(adaptive, adaptive.sample.arc_length_m, h_m):
         withdraw_preview(adaptive.preview)
     if not update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         return False
     if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
         update_deadband(params, adaptive)
-    if abs(sample.lead_m) < MIN_LEAD_M and params.run == RUN_NORMAL:
-        monitor_error(adaptive, tool_z_m - standoff_m - h_m)
     return True
 
 

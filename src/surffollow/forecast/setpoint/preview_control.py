@@ -23,8 +23,6 @@ ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for correctio
 UNKNOWN_WEIGHT = 1e-6  # not 0, so that the matrix stays regular
 EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # a point lower than this before the ground descends is early
 EDGE_TOLERANCE_M = 6e-4  # uncertainty of the place of an edge
-FIRST_FORESEEN = 5  # periods from now; errors until then may be the robot's
-FORESEEN_DECAY = 0.98  # per period: samples show an error late
 EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # periods beyond the known ground
 
 
@@ -61,26 +59,6 @@ def mark_early(adaptive, known, standoff_m, z_m):
             plan.early[k] = early
             changed += 1
     return changed
-
-
-@jit
-def update_foreseen_error(adaptive, known, standoff_m, z_m):
-    """Update the greatest stand-off error that plans contain, at a step for instance.
-
-    Parameters
-    ----------
-    adaptive : record of `AdaptiveState` (`plan` updated)
-    known : int           known periods of ground
-    standoff_m : float64  desired height of the tool above the ground [m]
-    z_m : float64         position of the axis where the plan begins [m]
-    """
-    plan = adaptive.plan
-    plan.foreseen_error_m *= FORESEEN_DECAY
-    for k in range(FIRST_FORESEEN, min(known - 1, HORIZON)):
-        plan.foreseen_error_m = max(
-            plan.foreseen_error_m,
-            abs(plan.position_m[k] - (adaptive.preview.ground_m[k + 1] + standoff_m - z_m)),
-        )
 
 
 @jit
@@ -182,7 +160,6 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
             u = min(max(b + plan.multiplier_m[k], -limit), limit)
             plan.multiplier_m[k] += b - u
             plan.acceleration_m[k] = u
-    update_foreseen_error(adaptive, known, standoff_m, z_m)
     # the clipped accelerations are feasible, the points approximately
     return v_mps + (plan.acceleration_m[0] + 0.5 * plan.acceleration_m[1]) / PERIOD_S
 

@@ -18,15 +18,8 @@ MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of th
 SHARE_RATE = 0.15  # per controller period: preview fades in and out
 MAP_BIAS_RATE = 0.002  # per sample: a constant bias is learned in 2 s at 250 Hz
 MAP_DEVIATION_RATE = 0.02  # per sample
-ERROR_RATIO, ERROR_MARGIN_M2 = (
-    9.0,
-    4e-6,
-)  # squared error that suspends preview: ratio to that without, plus (2 mm)²
-MAX_ERROR_M2 = 1e-4  # (1 cm)²: bounds the memory of one sample
 MAX_MODEL_ERROR_M2 = 4e-8  # (0.2 mm)²: beyond, the axis model is too wrong for a plan
 LEADING_MAX_MODEL_ERROR_M2 = 1e-6  # (1 mm)²
-REFERENCE_RATE, ERROR_RATE = 0.002, 0.01  # per sample, without and with preview
-SUSPENSION_NS = 5_000_000_000  # after an error that is worse than without
 CONTRADICTION_NS = 100_000_000  # the map is not used for so long after samples that contradict it
 
 
@@ -127,27 +120,6 @@ def compare_map(adaptive, inputs, ahead_m, h_m):
         min(abs(e - preview.map_bias_m), 0.02) - preview.map_deviation_m
     )
     preview.map_bias_m += MAP_BIAS_RATE * (min(max(e, -0.02), 0.02) - preview.map_bias_m)
-
-
-@jit
-def monitor_error(adaptive, error_m):
-    """Compare the stand-off error with preview to that without; a worse plan is suspended.
-
-    With a robot that is not as assumed the inverted plan may be worse than none. Errors that the plan
-    contains, as at both ends of a step, are subtracted.
-    """
-    preview = adaptive.preview
-    e = max(abs(error_m) - (adaptive.plan.foreseen_error_m if preview.share > 0.0 else 0.0), 0.0)
-    e2 = min(e * e, MAX_ERROR_M2)
-    if preview.share == 0.0:
-        preview.reference_error_m2 += (REFERENCE_RATE if preview.reference_error_m2 > 0.0 else 1.0) * (
-            e2 - preview.reference_error_m2
-        )
-        preview.error_m2 = preview.reference_error_m2
-        return
-    preview.error_m2 += ERROR_RATE * (e2 - preview.error_m2)
-    if preview.error_m2 > ERROR_RATIO * preview.reference_error_m2 + ERROR_MARGIN_M2:
-        preview.suspended_until_ns = adaptive.clock.now_ns + SUSPENSION_NS
 
 
 @jit
