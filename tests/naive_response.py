@@ -61,7 +61,7 @@ class NaiveResponse:
         most_m = r.OUTLIER_SIGMAS * self.sigma_m
         newest = [reading - self.mean_m for reading in self.readings[-3:]]
         one_side = all(x > most_m for x in newest) or all(x < -most_m for x in newest)
-        if len(self.readings) > 3 and one_side and self.number >= r.MAX_MEAN:
+        if len(self.readings) > 3 and one_side:
             self.mean_m = range_m
         step_m = range_m - self.mean_m
         self.mean_m += math.copysign(min(abs(step_m), most_m), step_m) / self.number

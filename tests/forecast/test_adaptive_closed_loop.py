@@ -346,6 +346,62 @@ def test_a_plan_does_not_descend_before_a_cliff(standoff_m, window_m, drop_m, sc
     assert found.min() > least * standoff_m
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("sensor_hz", "speed_mps", "slope"), [(15, 0.1, 1.5), (24, 0.07, 2.0), (24, 0.168, 1.5), (50, 0.15, 2.0)]
+)
+def test_a_flank_steeper_than_45_degrees(sensor_hz, speed_mps, slope, seed):
+    """GIVEN level ground WHEN a flank begins THEN its samples confirm it: none agreed, and it was hit."""
+    job = Job(sensor_hz=sensor_hz, window_m=(0.03, 0.3), v_max_mps=0.8, a_max_mps2=16.0)
+    places = speed_mps * 1e-3 * np.arange(int(0.3e3 / speed_mps))
+    heights = np.minimum(slope * np.maximum(places - 0.1, 0.0), 0.2)
+    own = clearances_m(job, job.follower(), seed, places, heights)
+    print(f"least clearance {1e3 * own.min():.1f} mm")
+    assert own.min() > 0.55 * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("far", [1.1, 1.2])
+@pytest.mark.parametrize(("tau_s", "sensor_hz"), [(0.04, 20), (0.04, 100), (0.1, 50), (0.2, 20), (0.3, 10)])
+def test_a_blocked_sensor_with_few_samples_in_the_time_constant(tau_s, sensor_hz, far, seed):
+    """GIVEN level ground WHEN the range becomes constant and too far THEN the tool does not touch.
+
+    The mean range crept to the new one, and each of its steps began a new run: the ground was hit.
+    """
+    job = Job(
+        sensor_hz=sensor_hz,
+        tau_s=tau_s,
+        window_m=(0.03, 0.3),
+        v_max_mps=0.6,
+        a_max_mps2=1.2 / tau_s,
+        seconds=8.0,
+    )
+
+    def blocked(t, read, rng):
+        return far * job.standoff_m + job.sigma_m * rng.standard_normal() if t > 2.0 else read
+
+    own = job.clearances_m(job.follower(), seed, misread=blocked)
+    print(f"least clearance {1e3 * own.min():.1f} mm")
+    assert own.min() > 0.5 * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("sensor_hz", [500, 1000])
+def test_a_real_fall_under_a_quick_sensor_with_some_glitches(sensor_hz, seed):
+    """GIVEN one of twenty readings wrong WHEN the ground falls THEN glitches do not begin anew."""
+    job = Job(sensor_hz=sensor_hz, window_m=(0.03, 0.3))
+    places = 5e-6 * np.arange(4000)
+    heights = np.where(np.arange(4000) < 1500, 0.0, -0.02)
+
+    def glitches(t, read, rng):
+        return read + rng.uniform(-0.03, 0.03) if rng.random() < 0.05 else read
+
+    own = clearances_m(job, job.follower(), seed, places, heights, misread=glitches)
+    late_ms = np.flatnonzero(own[1500:] > 1.1 * job.standoff_m)[-1]
+    print(f"{late_ms} ms late")
+    assert late_ms < 700
+
+
 def test_wrong_readings_of_a_burst_seldom_agree():
     """GIVEN bursts of 50 ms, each reading wrong by up to 10 mm THEN chance seldom confirms a step.
 

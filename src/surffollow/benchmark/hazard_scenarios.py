@@ -83,7 +83,10 @@ KINDS = {
     ),
     "valley and slow": Kind(slope=(0.05, 0.4), interval_ms=(20, 500), valley=True),
     "stairs and slow": Kind((5e-3, 25e-3), signed=True, interval_ms=(20, 500)),
+    "flank": Kind(slope=(1.0, 2.5), interval_ms=(READING_MS, 60), rises=True),
+    "blocked and slow": Kind((0.0, 20e-3), (0.3, 1.5), signed=True, interval_ms=(READING_MS, 100)),
 }
+MAX_CLIMB_MPS = 0.1  # over slopes of more than 1: half of what the axis can
 MAX_RISE = 0.25  # between two readings, of the distance between stand-off and near limit
 FAMILIES = tuple(KINDS)
 
@@ -128,6 +131,8 @@ def draw(family: str, seed: int) -> Scenario:
     interval_ms = round(shortest * (longest / shortest) ** interval)
     if slope > 0.0:
         speed = min(speed, MAX_RISE * (STANDOFF_M - NEAR_M) / (slope * interval_ms * 1e-3))
+    if slope > 1.0:
+        speed = min(speed, MAX_CLIMB_MPS / slope)
     then = kind.factor[0] + (kind.factor[1] - kind.factor[0]) * float(rng.random())
     return Scenario(
         family,

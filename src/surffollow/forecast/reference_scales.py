@@ -234,8 +234,8 @@ _PLANT = ("plant_tau_s", "plant_v_max_mps", "plant_a_max_mps2")
 def scaled_defaults(offset_m: float, tau_s: float) -> dict[str, float]:
     """Defaults of the parameters with a dimension for a stand-off and a time constant.
 
-    With scale 1 they are those of `PARAMS`. `pose_timeout_ns` is never below its default: the rate of pose
-    reports does not depend on the axis.
+    With scale 1 they are those of `PARAMS`. `pose_timeout_ns` and `loss_timeout_ns` are never below their
+    defaults: the rates of pose reports and sensors do not depend on the axis.
     """
     length = math.ldexp(1.0, scale_exponent.py_func(offset_m, STANDOFF_M))
     time = math.ldexp(1.0, scale_exponent.py_func(tau_s, TAU_S))
@@ -248,7 +248,7 @@ def scaled_defaults(offset_m: float, tau_s: float) -> dict[str, float]:
         if powers == (0, 0):
             continue
         value = spec.default * length ** powers[0] * time ** powers[1]
-        if name == "pose_timeout_ns":
+        if name in ("pose_timeout_ns", "loss_timeout_ns"):
             value = max(value, spec.default)
         found[name] = min(max(value, spec.low), spec.high)
     return found

@@ -22,6 +22,7 @@ INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and tw
 INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
 INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
 AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
+MAX_RISE = 3.0  # of the travel: nearer pending samples go on by so much, on a flank of 72 degrees
 PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
 # decisions about a sample: inside the gate; beyond the inner gate; outside; a step is confirmed;
 # the sample before and this one agree against the first; more samples are pending than accepted
@@ -102,9 +103,18 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
     height_m = estimate.height_m + innovation_m
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
     further = height_m - last_height
-    # on ground of 45 degrees the outliers of a slow sensor go on in their direction by their travel
-    tolerance = max(INNER_GATE * gate_m, params.gate_m) + (travel_m if further * innovation_m > 0.0 else 0.0)
-    if gate.pending > 0 and abs(further) < tolerance:
+    tolerance = max(INNER_GATE * gate_m, params.gate_m)
+    if further * innovation_m > 0.0:  # on a flank the outliers of a slow sensor go on in their direction
+        tolerance += travel_m
+    if further > 0.0 and innovation_m > 0.0:
+        tolerance = max(tolerance, MAX_RISE * travel_m)
+    agrees = gate.pending > 0 and abs(further) < tolerance
+    if not agrees and gate.pending >= params.step_samples and gate.odd == 0:
+        gate.odd = 1  # a glitch among many that agree
+        gate.pending_travel_m += travel_m
+        return False
+    gate.odd = 0
+    if agrees:
         gate.pending += 1
         gate.pending_travel_m += travel_m
     else:

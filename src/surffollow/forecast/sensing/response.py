@@ -74,7 +74,7 @@ def _update_mean(response, range_m, sigma_m, number):
     greatest = max(range_m, response.recent_m[0], response.recent_m[1]) - response.mean_m
     outlier = OUTLIER_SIGMAS * sigma_m
     moved = least > outlier or greatest < -outlier  # three in a row are no outliers
-    if moved and number >= MAX_MEAN and response.samples > 2:  # those of a slow sensor are far apart
+    if moved and response.samples > 2:
         response.mean_m = range_m
     response.mean_m += min(max(range_m - response.mean_m, -outlier), outlier) / number
     response.run_samples += 1
