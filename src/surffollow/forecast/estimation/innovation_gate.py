@@ -22,7 +22,7 @@ INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and tw
 INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
 INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
 AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
-MAX_RISE = 3.0  # of the travel: nearer samples that wait go on by so much, on a flank of 72 degrees
+MAX_RISE = 3.0  # of the travel: nearer pending samples go on by so much, on a flank of 72 degrees
 PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
 # decisions about a sample: inside the gate; beyond the inner gate; outside; a step is confirmed;
 # the sample before and this one agree against the first; more samples are pending than accepted
@@ -162,9 +162,9 @@ def needs_second_sample(adaptive, innovation_m, gate_m):
 
 
 @jit
-def withhold_sample(gate, innovation_m, steepest_m):
+def withhold_sample(gate, innovation_m, plausible_m):
     """Note how much nearer a sample is that waits for a second one; 0 where ground cannot rise like that."""
-    gate.withheld_m = innovation_m if 0.0 < innovation_m < MAX_RISE * steepest_m else 0.0
+    gate.withheld_m = innovation_m if 0.0 < innovation_m < plausible_m else 0.0
 
 
 @jit
