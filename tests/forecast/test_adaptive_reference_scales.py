@@ -224,6 +224,13 @@ def test_the_usual_cell_is_followed_with_the_given_numbers(offset, tau):
     assert scaled_defaults(offset, tau) == {n: PARAMS[n].default for n in scaled_defaults(offset, tau)}
 
 
+@pytest.mark.parametrize("name", ["pose_timeout_ns", "loss_timeout_ns"])
+def test_time_outs_do_not_shrink_with_the_axis(name):
+    """GIVEN a quick axis under a slow sensor THEN its readings are no loss: 1 Hz was never VALID."""
+    assert scaled_defaults(0.1, 0.005)[name] == PARAMS[name].default
+    assert scaled_defaults(0.1, 0.4)[name] == 8 * PARAMS[name].default
+
+
 def test_a_parameter_that_is_given_is_taken_as_it_is_at_every_scale():
     f = Follower({"sensors": [{"near_m": 0.2, "far_m": 12.0}], "max_demand": 0.3}, offset_m=3.0)
     assert f._params["max_demand_m"][0] == 0.3
