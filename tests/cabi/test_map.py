@@ -39,6 +39,10 @@ def probe(make_probe: Callable[..., Probe], service: Service) -> Probe:
     assert p(f"attach {service.name}").result == OK
     assert p(f"map_reset {REGION}").result == OK
     before, cycle = p("status").values[4], p("status").values[2]
+    # the sensor stands still: a tool that came down without it would have an unresponsive one
+    assert p("ee 0.01 0.04 0.1 0 0 0 1").result == OK
+    cycle = p.until("status", lambda a, last=cycle: a.values[2] >= last + 4).values[2]
+    assert p("reset 0.1").result == OK
     for k in range(40):
         pose = f"ee {0.002 * k + 0.01} 0.04 {0.1 + 0.0005 * k} 0 0 0 1"
         assert p(pose).result == OK
