@@ -47,15 +47,21 @@ class ShellLoop:
     robot : its task; `turn` is set
     sensors : how many; or their mounts
     faults : over the sensors, their time begins at the start
+    seed : of the sensors' noise
     params : of the follower
     """
 
     def __init__(
-        self, robot: RobotConfig, sensors: Any = 4, faults: tuple[FaultConfig, ...] = (), **params: float
+        self,
+        robot: RobotConfig,
+        sensors: Any = 4,
+        faults: tuple[FaultConfig, ...] = (),
+        seed: int = 3,
+        **params: float,
     ) -> None:
         mounts = around_tool(sensors) if isinstance(sensors, int) else sensors
         self.core = RobotCore(robot, robot.world.make(), START)
-        rig_config = SimulatedConfig(channels=len(mounts), mounts=mounts, world=robot.world, seed=3)
+        rig_config = SimulatedConfig(channels=len(mounts), mounts=mounts, world=robot.world, seed=seed)
         info = SimulatedDriver("none", rig_config, self.core._field).info
         self.queue = ConversionQueue(1 << 12)
         self.rig = make_rig(rig_config, self.queue, START)

@@ -26,6 +26,9 @@ def test_the_newest_poses_are_found_by_their_timestamps(service, shared):
         robot = attach_arbitrated(service.name, shared.name, "tool")
         robot.claim_pose()
         now_ns = time.monotonic_ns()
+        robot.ee_pos(POSE, now_ns - 1)
+        assert until(lambda: poses.at(now_ns - 1)) == POSE
+        assert poses.at(0) is None, "a slot that is empty"
         stamps = [now_ns + k for k in range(RECENT + 3)]
         for k, t_ns in enumerate(stamps):
             robot.ee_pos((1e-3 * k, *POSE[1:]), t_ns)

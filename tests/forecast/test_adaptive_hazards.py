@@ -94,6 +94,30 @@ def test_beams_that_do_not_respond_to_a_rotation_are_tested_by_a_hold():
     assert ours.clearance_m > plain.clearance_m - 0.2 * STANDOFF_M
 
 
+def test_a_failed_test_of_the_rotation_is_forgotten_when_the_tool_rotates_no_more():
+    # GIVEN four blocked sensors whose readings do not respond to the tool's rotation
+    f, reasons = follower(KINDS["all blocked"].mounts_m), []
+
+    class WithoutOrientation:
+        def pose(self, t_ns, pose):
+            f.pose(t_ns, pose)
+
+        def step(self, t_ns, ranges_m):
+            demand = f.step(t_ns, ranges_m)
+            reasons.append(f.state()["reason"])
+            if "rotation" in reasons[-1]:
+                f.set_params(orient="off")  # WHEN the user switches the rotation off
+            return demand
+
+        def state(self):
+            return f.state()
+
+    play(WithoutOrientation(), draw("all blocked", 2240))
+    # THEN it is no reason for a test of the range, or for the health, any more
+    assert any("rotation" in reason for reason in reasons)
+    assert "rotation" not in reasons[-1]
+
+
 @pytest.mark.parametrize("size_m", [2.5e-3, -2.5e-3])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_sensor_stuck_with_one_count_of_flicker_is_found(seed, size_m):

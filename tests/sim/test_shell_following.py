@@ -19,7 +19,9 @@ DOME = WorldConfig(surface="dome", region=(0.0, 0.0, 1.2, 1.0), grid_m=2e-3)
 REGION = (0.63, 0.35, 0.99, 0.65)
 
 
-def follow(seconds: float, sensors: int = 4, faults: tuple[FaultConfig, ...] = ()) -> ShellLoop:
+def follow(
+    seconds: float, sensors: int = 4, faults: tuple[FaultConfig, ...] = (), seed: int = 3
+) -> ShellLoop:
     task = RobotConfig(
         world=DOME,
         path="raster",
@@ -30,7 +32,7 @@ def follow(seconds: float, sensors: int = 4, faults: tuple[FaultConfig, ...] = (
         turn=True,
         unscored_m=0.03,
     )
-    loop = ShellLoop(task, sensors, faults)
+    loop = ShellLoop(task, sensors, faults, seed)
     loop.run(seconds + 3.0)
     return loop
 
@@ -80,6 +82,19 @@ def test_sensors_that_drop_out_one_by_one_and_come_back_make_no_jump_on_a_shell(
     assert np.degrees(trace["angle_rad"]).max() < 8.0
     settled = trace["t_s"] > 5.6
     assert np.degrees(trace["angle_rad"][settled]).max() < 1.0
+
+
+def test_good_sensors_are_seldom_held_where_a_dome_steepens() -> None:
+    """GIVEN a long descent WHEN the setpoint is shifted to test the range THEN most runs answer in time.
+
+    While the delay did not count, seven of these eight runs were held, and their mean RMS was 0.34 mm.
+    """
+    errors = [scored(follow(5.0, seed=seed))["standoff_m"] - 0.1 for seed in range(1, 9)]
+    rms_m = float(np.mean([np.sqrt(np.mean(e**2)) for e in errors]))
+    held = sum(int(np.abs(e).max() > 1e-3) for e in errors)
+    print(f"mean RMS {1e3 * rms_m:.2f} mm, {held} of {len(errors)} runs beyond 1 mm")
+    assert rms_m < 0.33e-3
+    assert held <= 5
 
 
 @pytest.mark.parametrize("kind", ["stuck", "spike"])

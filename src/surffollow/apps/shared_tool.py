@@ -125,9 +125,9 @@ class ReportedPoses(Closing):
             except (NotRunningError, BlockError):
                 return None
         status = block.latest()
-        if not status.generation or t_ns not in (stamps := list(status["recent_t_ns"])):
+        if t_ns == 0 or not status.generation or t_ns not in status["recent_t_ns"]:
             return None
-        slot = stamps.index(t_ns)
+        slot = tuple(status["recent_t_ns"]).index(t_ns)
         return tuple(status["recent_pose"][7 * slot : 7 * slot + 7])
 
     def close(self) -> None:

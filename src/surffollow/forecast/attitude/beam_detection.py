@@ -279,6 +279,12 @@ def mean_height(adaptive, n_channels, x_m, y_m):
 
 
 @jit
+def release_beams(beams):
+    """Forget that beams disagreed: they give no normal any more."""
+    beams.inconsistent = 0
+
+
+@jit
 def note_first_sample(beams, t_ns):
     """Return the time of the first sample of the run, which may be this one [ns]."""
     if beams.first_ns == 0 or t_ns < beams.first_ns:

@@ -96,7 +96,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
         need = (2 if ρ < 0.2 or n T > τ/2, else n) + min(outliers that agreed with none, τ / (4 T))
         is_step = ν > 0, or travel ≥ ρ · `step_travel`, or time ≥ 120 ms, or pending > accepted samples
 
-    A step is confirmed when pending ≥ need and is_step.
+    A step is confirmed when pending ≥ need and is_step. One outlier that disagrees with n or more is left out.
     """
     gate, estimate = adaptive.gate, adaptive.estimate
     tau_s, interval_s = adaptive.plant.tau_s, adaptive.prediction.interval_s
@@ -106,8 +106,8 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
     tolerance = max(INNER_GATE * gate_m, params.gate_m)
     if further * innovation_m > 0.0:  # on a flank the outliers of a slow sensor go on in their direction
         tolerance += travel_m
-    if further > 0.0 and innovation_m > 0.0:
-        tolerance = max(tolerance, MAX_RISE * travel_m)
+        if innovation_m > 0.0:
+            tolerance = max(tolerance, MAX_RISE * travel_m)
     agrees = gate.pending > 0 and abs(further) < tolerance
     if not agrees and gate.pending >= params.step_samples and gate.odd == 0:
         gate.odd = 1  # a glitch among many that agree

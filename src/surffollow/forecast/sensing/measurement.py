@@ -5,9 +5,9 @@ range → pose at the range's timestamp → footprint → latency, health, plane
 
 import math
 
-from surffollow.forecast.attitude.beam_detection import any_beam_changed, observe_beams
+from surffollow.forecast.attitude.beam_detection import any_beam_changed, observe_beams, release_beams
 from surffollow.forecast.attitude.plane_fit import plane_height
-from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation
+from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation, reset_rotation
 from surffollow.forecast.estimation.adaptation import update_deadband
 from surffollow.forecast.estimation.estimate import discard_estimate, turn_estimate, update_estimate
 from surffollow.forecast.estimation.innovation_gate import is_slow
@@ -104,6 +104,8 @@ def take_sample(params, adaptive, sense, inputs, output, orients, pose):
         channel = observe_beams(params, adaptive, sense, pose)
     else:
         output.fresh &= ~1
+        release_beams(adaptive.beams)
+        reset_rotation(adaptive.rotation)
     if channel < 0:
         return False, channel, 0.0, 0
     is_new, range_m, t = new_sample(params, adaptive, sense, inputs.n_ranges, channel, orients)
