@@ -107,6 +107,18 @@ class Bench:
         return float(np.arcsin(x)) - self.tilt
 
 
+def test_a_hold_waits_for_the_delay_of_the_samples():
+    held = []
+    for delay_s in (0.0, 0.1):
+        bench = Bench()
+        bench.a["latency"]["delay_s"] = delay_s
+        assert bench.run(60, 0.3, 0.03) == ROTATION_HOLD
+        held.append(0)
+        while bench.run(1, 0.0, 0.03) == ROTATION_HOLD:
+            held[-1] += 1
+    assert held[1] - held[0] == pytest.approx(25, abs=1)  # samples in 0.1 s
+
+
 def test_a_deviation_that_ignores_the_rotation_is_held_probed_and_failed_until_it_changes():
     bench = Bench()
     assert bench.run(60, 0.3, 0.03) == ROTATION_HOLD

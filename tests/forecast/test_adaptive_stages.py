@@ -78,6 +78,27 @@ def test_a_step_that_comes_in_pieces_is_no_slot():
     assert abs(a["estimate"]["height_m"] - heights[-1]) < 1e-3
 
 
+def test_after_one_slot_that_was_followed_the_next_one_is_not():
+    """GIVEN a step down that stays WHEN a slot is taken for another THEN its end tells of slots."""
+    heights, slot = np.zeros(1200), -0.03
+    heights[200:] = -0.01  # the likelihood of slots falls: 0.75 mm of travel confirm a fall
+    heights[600:618] = heights[900:918] = slot  # 1.8 mm long
+    a, taken = feed(heights, way=0.1e-3)
+    assert a["gate"]["slot_likelihood"] == 1.0
+    assert taken[600:618].any(), "the first one is followed"
+    assert not taken[900:918].any()
+
+
+def test_a_glitch_among_pending_samples_takes_no_travel_from_them():
+    """GIVEN a fall that 2.5 mm of travel confirm WHEN one sample on it is wrong THEN no later."""
+    heights = np.where(np.arange(300) < 200, 0.0, -0.01)
+    glitch = heights.copy()
+    glitch[210] = 0.03
+    without = np.flatnonzero(feed(heights, way=0.1e-3)[1][200:])
+    with_glitch = np.flatnonzero(feed(glitch, way=0.1e-3)[1][200:])
+    assert with_glitch[0] == without[0]
+
+
 def test_the_noise_is_estimated_to_a_tenth_and_soon():
     found = []
     for seed in range(8):

@@ -96,7 +96,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
         need = (2 if ρ < 0.2 or n T > τ/2, else n) + min(outliers that agreed with none, τ / (4 T))
         is_step = ν > 0, or travel ≥ ρ · `step_travel`, or time ≥ 120 ms, or pending > accepted samples
 
-    A step is confirmed when pending ≥ need and is_step. One outlier that disagrees with n or more is left out.
+    A step is confirmed when pending ≥ need and is_step. One outlier that disagrees with n others is left out.
     """
     gate, estimate = adaptive.gate, adaptive.estimate
     tau_s, interval_s = adaptive.plant.tau_s, adaptive.prediction.interval_s
