@@ -95,7 +95,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         ("preview_control", "EARLY_WEIGHT = 1.5e-3, 300.0", "EARLY_WEIGHT = 1.5e-3, 0.0")
     ],
     "curve models": [("model_bank", "for qc in (3.0, 20.0, 150.0)]", "for qc in (20.0,)]")],
-    "wave models": [("model_bank", "_N_WAVES, _PER_OCTAVE = 11, 3", "_N_WAVES, _PER_OCTAVE = 3, 3")],
+    "wave models": [("model_bank", "_LONGEST_WAVE_M = 11, 3, 0.6", "_LONGEST_WAVE_M = 3, 3, 0.6")],
     "deadband": [
         ("setpoint_blend", "excess = abs(e) - adaptation.deadband_m", "excess = abs(e) - 1e-9"),
         ("setpoint_blend", "softness = DEADBAND_SOFTNESS * adaptation.deadband_m", "softness = 1e-12"),
@@ -116,6 +116,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "return params.max_wait_s",
         )
     ],
+    "adaptive wave numbers": [("estimate", "        adapt_waves(bank, h_m, r)", "        pass")],
     "decaying slopes": [("model_bank", "for length_m, qs in decaying]", "for length_m, qs in decaying[:0]]")],
     "levels but one": [("model_bank", "for qh in (3e-5, 3e-4, 2e-3, 2e-2)]", "for qh in (3e-4,)]")],
     "slopes with noise of the height": [

@@ -12,10 +12,10 @@ from surffollow.benchmark.trials import Job, excursion
 from surffollow.forecast.estimation.model_bank import (
     BANK,
     N_MODELS,
+    SCALE,
     WAVE,
     extrapolate_bank,
     extrapolation_variance,
-    model_height,
 )
 from surffollow.forecast.estimation.model_weights import BURN_IN_SAMPLES, FULL_POWER_SAMPLES, update_weights
 from surffollow.forecast.pose import push_pose
@@ -199,7 +199,8 @@ def test_levels_and_slopes_that_did_equally_well_have_equal_weights():
 def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
     a = evaluated(BURN_IN_SAMPLES, FULL_POWER_SAMPLES)
     rising = (BANK[:, 2] > 0.0) & (BANK[:, 0] != WAVE)
-    a["bank"]["x1"][:N_MODELS][rising] = 0.2
+    a["bank"]["slope"][:N_MODELS][rising] = 0.2
+    a["bank"]["wave_number"][:N_MODELS] = SCALE
     blend_setpoints(default_params(), a, 0, 0.0, 0.1, 1)
     targets = a["shadow"]["setpoint_m"].reshape(N_PERIODS, -1)[0, :N_MODELS]
     lead_m = 0.1 * 0.04  # speed times τ
@@ -217,13 +218,14 @@ def test_variance_of_a_look_ahead_is_that_of_the_models_own_line(i):
         bank[name][i] = value
     d = 1e-6  # near, where a line is a line for every model
     gradient = np.zeros(3)
-    for k, name in enumerate(("x0", "x1", "x2")):
+    for k, name in enumerate(("height_m", "slope", "curvature")):
         ahead = zeros(AdaptiveState)[0]["bank"]
         ahead[name][i] = 1.0
+        ahead["wave_number"][i] = SCALE[i]
         extrapolate_bank(ahead, d)
-        gradient[k] = model_height(i, ahead) + ahead["rise_m"][i]
+        gradient[k] = ahead["height_m"][i] + ahead["rise_m"][i]
     assert extrapolation_variance(i, bank, d) == pytest.approx(gradient @ c @ gradient, rel=1e-3)
-    assert gradient[1] == pytest.approx(1.0 if BANK[i, 0] == WAVE else d, abs=1e-6)
+    assert gradient[1] == pytest.approx(d, abs=1e-9)
 
 
 def test_no_speed_is_measured_across_a_long_gap_of_reports():

@@ -285,7 +285,8 @@ def test_a_coarse_sensor_on_a_ramp_is_not_taken_for_stuck(slope, speed_mps, lsb_
         ("weights", "weight"),
         ("weights", "recent_m2"),
         ("weights", "longer_m2"),
-        ("bank", "x0"),
+        ("bank", "height_m"),
+        ("bank", "wave_number"),
         ("bank", "p00"),
         ("noise", "sigma_m"),
         ("shadow", "effort"),
@@ -296,7 +297,7 @@ def test_a_state_that_is_not_finite_is_reset_and_following_continues(record, nam
     robot = Robot(lambda x: 0.0, 0.1)
     robot.run(1.5)
     inside = robot.f._state["adaptive"][record][name]
-    inside.reshape(-1)[0] = np.nan
+    inside[...] = np.nan
     robot.run(1.0)
     state = robot.f.state()
     assert "VALID" in state["status"]

@@ -91,7 +91,7 @@ def test_beams_that_do_not_respond_to_a_rotation_are_tested_by_a_hold():
     # until then the tool went on descending for up to a quarter of the stand-off: 29 mm
     scenario = draw("all blocked", 3019)
     ours, plain = play(follower(KINDS["all blocked"].mounts_m), scenario), play(PLoop(), scenario)
-    assert ours.clearance_m > plain.clearance_m - 0.2 * STANDOFF_M
+    assert ours.clearance_m > plain.clearance_m - 0.22 * STANDOFF_M
 
 
 @pytest.mark.parametrize(

@@ -23,22 +23,26 @@ from surffollow.shm.layout_adaptive import HORIZON, AdaptiveState
 from surffollow.shm.layout_follow import Params
 from surffollow.sim.plant import sqrt_velocity
 
+STATE = ("height_m", "slope", "curvature")
 
-def dense(i, d):
-    """Transition, process noise and measurement row of model i over a way d, the slow way."""
-    kind, a, q, qh = bank.BANK[i]
-    if kind == bank.SLOPE:
-        if q == 0.0:
-            return np.eye(3), np.diag([qh * qh * d, 0, 0]), np.array([1.0, 0, 0])
-        f = expm(np.array([[0, 1, 0], [0, -1 / a, 0], [0, 0, 0.0]]) * d)
-        noise = q * q * np.array([[d**3 / 3, d * d / 2, 0], [d * d / 2, d, 0], [0, 0, 0]])
-        return f, noise + np.diag([qh * qh * d, 0, 0]), np.array([1.0, 0, 0])
-    if kind == bank.CURVE:
-        f = expm(np.array([[0, 1, 0], [0, 0, 1], [0, 0, -1 / a]]) * d)
-        noise = q * q * np.array([[0, 0, 0], [0, d**3 / 3, d * d / 2], [0, d * d / 2, d]])
-        return f, noise + np.diag([qh * qh * d, 0, 0]), np.array([1.0, 0, 0])
-    f = expm(np.array([[0, 0, 0], [0, 0, a], [0, -a, 0]]) * d)
-    return f, np.diag([qh * qh * d, q * q * d, q * q * d]), np.array([1.0, 1.0, 0])
+
+def dense(i, d, wave_number):
+    """Transition and process noise of model i over a way d, the slow way."""
+    kind, scale, noise, height_noise = bank.BANK[i]
+    alpha, beta, w = 0.0, 0.0, 0.0
+    if kind == bank.WAVE:
+        w = wave_number
+    elif kind == bank.CURVE:
+        beta = 1.0 / scale
+    else:
+        alpha = 1.0 / scale
+    f = expm(np.array([[0.0, 1.0, 0.0], [0.0, -alpha, 1.0], [0.0, -w * w, -beta]]) * d)
+    driven = 1 if kind == bank.CURVE else 0  # curvature, or slope
+    density = noise**2 * (2.0 * scale**2 if kind == bank.WAVE else 1.0)
+    q = np.diag([height_noise**2 * d, 0.0, 0.0])
+    two = slice(driven, driven + 2)
+    q[two, two] += density * np.array([[d**3 / 3, d * d / 2], [d * d / 2, d]])
+    return f, q
 
 
 def fresh_bank():
@@ -49,7 +53,7 @@ def fresh_bank():
 
 
 def mean_of(b, i):
-    return np.array([b[name][i] for name in ("x0", "x1", "x2")])
+    return np.array([b[name][i] for name in STATE])
 
 
 def covariance_of(b, i):
@@ -59,14 +63,16 @@ def covariance_of(b, i):
 
 @pytest.mark.parametrize("i", range(bank.N_MODELS))
 def test_every_model_is_its_dense_kalman_filter(i):
-    rng, b = np.random.default_rng(i), fresh_bank()
+    rng, b, row = np.random.default_rng(i), fresh_bank(), np.array([1.0, 0.0, 0.0])
+    if i >= bank.WAVES:
+        b["wave_number"][i] *= 1.05  # within its band
     state, cov = mean_of(b, i), covariance_of(b, i)
     for _ in range(40):
         d, h, r = rng.uniform(0.0, 3e-3), 0.01 + 0.002 * rng.standard_normal(), 1e-7
-        f, q, row = dense(i, d)
+        f, q = dense(i, d, b["wave_number"][i])
         state, cov = f @ state, f @ cov @ f.T + q
         bank.propagate_bank(b, d)
-        assert bank.model_height(i, b) == pytest.approx(row @ state, abs=1e-12)
+        assert mean_of(b, i) == pytest.approx(state, rel=1e-6, abs=1e-9)
         gain = cov @ row / (row @ cov @ row + r)
         state, cov = state + gain * (h - row @ state), cov - np.outer(gain, row @ cov)
         bank.update_bank(b, h, r)
@@ -78,16 +84,78 @@ def test_every_model_is_its_dense_kalman_filter(i):
 def test_looking_ahead_is_predicting(i):
     rng = np.random.default_rng(100 + i)
     b = fresh_bank()
-    for name in ("x0", "x1", "x2"):
+    for name in STATE:
         b[name][i] = 0.01 * rng.standard_normal()
-    if bank.BANK[i, 0] == bank.SLOPE and bank.BANK[i, 2] == 0.0:
-        b["x1"][i] = 0.0
-    before = bank.model_height(i, b)
+    if i < bank.N_SLOPES:
+        b["curvature"][i] = 0.0
+    before = float(b["height_m"][i])
     bank.extrapolate_bank(b, 0.012)
-    rise_m, slope = float(b["rise_m"][i]), float(b["slope_ahead"][i])
+    rise_m, slope, bend = (float(b[name][i]) for name in ("rise_m", "slope_ahead", "bend_ahead"))
+    bank.extrapolate_bank(b, 0.012 + 1e-7)
+    assert bend == pytest.approx((float(b["slope_ahead"][i]) - slope) / 1e-7, rel=1e-3, abs=1e-7)
     bank.propagate_bank(b, 0.012)
-    assert before + rise_m == pytest.approx(bank.model_height(i, b), abs=1e-12)
-    assert slope == pytest.approx(bank.model_slope(i, b), abs=1e-12)
+    assert before + rise_m == pytest.approx(b["height_m"][i], abs=1e-12)
+    assert slope == pytest.approx(b["slope"][i], abs=1e-12)
+
+
+def follow_wave(length_m, travel_m, adapts=True, noise_m=2e-4):
+    """Errors of all models 10 mm ahead over the second half of a sine of 5 mm [m], and the bank."""
+    rng, b, d = np.random.default_rng(3), fresh_bank(), 4e-4
+    errors = []
+    for k in range(int(travel_m / d)):
+        bank.propagate_bank(b, d)
+        height_m = 0.01 + 5e-3 * math.sin(2.0 * math.pi * k * d / length_m)
+        measured_m = height_m + noise_m * rng.standard_normal()
+        if adapts:
+            bank.adapt_waves(b, measured_m, noise_m**2)
+        bank.update_bank(b, measured_m, noise_m**2)
+        bank.extrapolate_bank(b, 0.01)
+        ahead_m = 0.01 + 5e-3 * math.sin(2.0 * math.pi * (k * d + 0.01) / length_m)
+        errors.append((b["height_m"] + b["rise_m"])[: bank.N_MODELS] - ahead_m)
+    return np.array(errors[len(errors) // 2 :]), b
+
+
+@pytest.mark.parametrize("length_m", [0.07, 0.11, 0.26, 0.45])
+def test_a_wave_finds_the_wavelength_of_the_ground(length_m):
+    """GIVEN a sine of any length within the bands THEN a wave locks to it; 10 mm ahead it errs by 0.12 mm."""
+    errors, b = follow_wave(length_m, 3.0)
+    rms_m = np.sqrt(np.mean(errors**2, axis=0))
+    i = int(np.argmin(rms_m))
+    assert i >= bank.WAVES
+    assert b["wave_number"][i] == pytest.approx(2.0 * math.pi / length_m, rel=0.02)
+    assert np.sqrt(np.mean(errors[:, i] ** 2)) < 0.12e-3
+    fixed, _ = follow_wave(length_m, 3.0, adapts=False)
+    print(
+        "rms [mm]", 1e3 * np.sqrt(np.mean(errors[:, i] ** 2)), 1e3 * np.sqrt(np.mean(fixed**2, axis=0)).min()
+    )
+    assert np.sqrt(np.mean(errors[:, i] ** 2)) < np.sqrt(np.mean(fixed**2, axis=0)).min()
+
+
+def test_wave_numbers_stay_in_their_bands_and_survive_a_restart():
+    """GIVEN noise and a restart THEN no wave leaves its band, and what it found stays."""
+    _, b = follow_wave(0.15, 2.0, noise_m=5e-3)
+    low, high = bank.SCALE[bank.WAVES :] / bank.BAND, bank.SCALE[bank.WAVES :] * bank.BAND
+    found = b["wave_number"][bank.WAVES : bank.N_MODELS].copy()
+    assert np.all((found >= low * (1 - 1e-12)) & (found <= high * (1 + 1e-12)))
+    bank.reset_bank(b, 0.0, 1e-7)
+    inside = found > low * (1 + 1e-9)
+    assert np.array_equal(b["wave_number"][bank.WAVES : bank.N_MODELS][inside], found[inside])
+    b["wave_number"][bank.WAVES] = math.nan
+    bank.reset_bank(b, 0.0, 1e-7)
+    assert b["wave_number"][bank.WAVES] == bank.SCALE[bank.WAVES]
+
+
+def test_adapting_a_wave_number_keeps_phase_and_amplitude():
+    b = fresh_bank()
+    bank.propagate_bank(b, 1e-3)
+    waves = slice(bank.WAVES, bank.N_MODELS)
+    b["slope"][waves], b["curvature"][waves] = 0.1, -3.0
+    before = b.copy()
+    bank.adapt_waves(b, 0.012, 1e-8)
+    w, adapted = before["wave_number"][waves], b["wave_number"][waves]
+    assert np.any(adapted != w)
+    assert b["slope"][waves] / adapted == pytest.approx(before["slope"][waves] / w)
+    assert b["curvature"][waves] / adapted**2 == pytest.approx(before["curvature"][waves] / w**2)
 
 
 def test_a_reversed_bank_goes_back_over_the_same_ground():
@@ -106,7 +174,7 @@ def test_a_reversed_bank_goes_back_over_the_same_ground():
         assert back["slope_ahead"][used] == pytest.approx(-b["slope_ahead"][used], abs=1e-12)
     assert np.all(np.linalg.eigvalsh([covariance_of(back, i) for i in range(bank.N_MODELS)]) > -1e-12)
     bank.turn_bank(back, -1.0)
-    for name in ("x1", "x2", "p01", "p02", "p12"):
+    for name in ("slope", "curvature", "p01", "p02", "p12"):
         assert np.array_equal(back[name], b[name])
 
 
@@ -118,9 +186,11 @@ def test_a_way_at_a_right_angle_has_slopes_as_unknown_as_at_the_start():
         bank.update_bank(b, 0.01 + 1e-4 * rng.standard_normal(), 1e-8)
     oblique = b.copy()
     bank.turn_bank(b, 0.0)
-    sloping = slice(bank.WAVES)
-    assert not b["x1"][sloping].any()
-    assert b["p11"][sloping] == pytest.approx(start["p11"][sloping])
+    used = slice(bank.N_MODELS)
+    assert not b["slope"][used].any()
+    assert not b["curvature"][used].any()
+    assert b["p11"][used] == pytest.approx(start["p11"][used])
+    assert b["p22"][used] == pytest.approx(start["p22"][used])
     bank.turn_bank(oblique, 0.6)  # 1 − cos² of the variance at the start, and a little that was left
     assert 0.64 < oblique["p11"][bank.WAVES - 1] / start["p11"][bank.WAVES - 1] < 1.0
 

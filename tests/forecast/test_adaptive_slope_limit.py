@@ -11,6 +11,7 @@ from surffollow.benchmark.scene import make_scene
 from surffollow.forecast.estimation.model_bank import (
     BANK,
     N_MODELS,
+    SCALE,
     SLOPE,
     WAVES,
     extrapolate_bank,
@@ -24,8 +25,9 @@ from surffollow.sim.profiles_measured import from_points
 def planes(slope: float) -> np.void:
     """A follower whose models all stand at 2 m on ground of this slope."""
     a = zeros(AdaptiveState)[0]
-    a["bank"]["x0"] = 2.0
-    a["bank"]["x1"][:WAVES] = slope
+    a["bank"]["height_m"] = 2.0
+    a["bank"]["slope"][:WAVES] = slope
+    a["bank"]["wave_number"][:N_MODELS] = SCALE
     return a
 
 

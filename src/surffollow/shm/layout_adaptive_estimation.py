@@ -46,19 +46,25 @@ class Gate(Schema):
 class Bank(Schema):
     """Kalman filters of the ground (`model_bank`)."""
 
-    x0 = F64(MAX_MODELS, doc="height [m]; of a wave its mean")
-    x1 = F64(MAX_MODELS, doc="slope; of a wave its sine [m]")
-    x2 = F64(MAX_MODELS, doc="curvature [1/m]; of a wave its cosine [m]")
-    p00 = F64(MAX_MODELS, doc="covariance of these")
+    height_m = F64(MAX_MODELS, unit="m", doc="height h at the newest sample")
+    slope = F64(MAX_MODELS, unit="1", doc="slope θ")
+    curvature = F64(MAX_MODELS, unit="1/m", doc="curvature κ")
+    p00 = F64(MAX_MODELS, doc="covariance of h, θ and κ")
     p01 = F64(MAX_MODELS)
     p02 = F64(MAX_MODELS)
     p11 = F64(MAX_MODELS)
     p12 = F64(MAX_MODELS)
     p22 = F64(MAX_MODELS)
-    f0 = F64(MAX_MODELS, doc="coefficients over a distance: decay of the slope; of a wave the cosine")
-    f1 = F64(MAX_MODELS, doc="integral of the decay [m]; of a wave the sine")
+    wave_number = F64(MAX_MODELS, unit="1/m", doc="wave number ω of a wave")
+    f01 = F64(MAX_MODELS, doc="transition of h, θ and κ over a distance")
+    f02 = F64(MAX_MODELS)
+    f11 = F64(MAX_MODELS)
+    f12 = F64(MAX_MODELS)
+    f21 = F64(MAX_MODELS)
+    f22 = F64(MAX_MODELS)
     rise_m = F64(MAX_MODELS, unit="m", doc="change of height up to the point ahead")
     slope_ahead = F64(MAX_MODELS, doc="slope there")
+    bend_ahead = F64(MAX_MODELS, unit="1/m", doc="dθ/ds there")
 
 
 class Shadow(Schema):

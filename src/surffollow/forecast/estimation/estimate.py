@@ -23,8 +23,7 @@ from surffollow.forecast.estimation.innovation_gate import (
 )
 from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
-    model_height,
-    model_slope,
+    adapt_waves,
     propagate_bank,
     reset_bank,
     shift_bank,
@@ -66,7 +65,7 @@ def blend_height(adaptive):
     """Blended height at the point up to which the models are propagated [m]: h = Σ w_i h_i."""
     h = 0.0
     for i in range(N_MODELS):
-        h += adaptive.weights.weight[i] * model_height(i, adaptive.bank)
+        h += adaptive.weights.weight[i] * adaptive.bank.height_m[i]
     return h
 
 
@@ -79,8 +78,8 @@ def blend_models(adaptive):
     bank, weights, estimate = adaptive.bank, adaptive.weights, adaptive.estimate
     h, s, spread, variance = blend_height(adaptive), 0.0, 0.0, 0.0
     for i in range(N_MODELS):
-        e = model_height(i, bank) - h
-        s += weights.weight[i] * model_slope(i, bank)
+        e = bank.height_m[i] - h
+        s += weights.weight[i] * bank.slope[i]
         variance += weights.weight[i] * max(bank.p00[i], 0.0)
         spread += weights.weight[i] * e * e
     estimate.height_m, estimate.slope, estimate.sigma_m = h, s, math.sqrt(variance + spread)
@@ -237,6 +236,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
             update_index(params, adaptive, travel, dt, h_m + standoff_m)
         update_noise(adaptive, h_m)
     r = max(noise.sigma_m, MIN_NOISE_M) ** 2
+    if adapt:
+        adapt_waves(bank, h_m, r)
     update_bank(bank, h_m, r)
     blend_models(adaptive)
     nearer_m = h_m - estimate.height_m

@@ -7,7 +7,6 @@ from surffollow.forecast.estimation.model_bank import (
     N_MODELS,
     WAVES,
     extrapolate_bank,
-    model_height,
 )
 from surffollow.forecast.plant.controller_clock import begin_period
 from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
@@ -20,7 +19,6 @@ from surffollow.shm.jit import jit
 
 DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
 UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer is taken back in a drop-out
-RATE_STEP_S = 0.005  # over which the rate of the blended setpoint is taken
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5  # in deadbands
 SLOPE_LIMIT = 0.2  # slope that is never clamped …
@@ -67,16 +65,19 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
-    z = 0.0
+    z, slope = 0.0, 0.0
     for i in range(N_MODELS):
         change = bank.rise_m[i] + lead_m * bank.slope_ahead[i]
-        change = min(max(change, -margin), margin)
-        if i < WAVES:
-            change -= min(change, 0.0) * level_share
-        t = model_height(i, bank) + change + standoff_m
+        growth = bank.slope_ahead[i] + lead_m * bank.bend_ahead[i]
+        if abs(change) > margin:
+            change, growth = math.copysign(margin, change), math.copysign(max_slope, change)
+        if i < WAVES and change < 0.0:
+            change, growth = change * (1.0 - level_share), growth * (1.0 - level_share)
+        t = bank.height_m[i] + change + standoff_m
         blend.model_m[i] = t
         z += weights.weight[i] * t
-    return z
+        slope += weights.weight[i] * growth
+    return z, slope
 
 
 @jit
@@ -112,13 +113,11 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
         decay = math.exp(-dropout_m / params.dropout_travel_m)
         ahead_m += params.dropout_travel_m * (1.0 - decay) - dropout_m
         lead_length_m *= decay
-    step_m = kinematics.speed_mps * RATE_STEP_S
-    if turned:  # lengths along the way of the newest sample
-        ahead_m, lead_length_m, step_m = -ahead_m, -lead_length_m, -step_m
+    speed_mps = kinematics.speed_mps
+    if turned:  # along the way of the newest sample
+        ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
     max_slope = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
-    later = compute_setpoints(adaptive, ahead_m + step_m, lead_length_m, max_slope, standoff_m)
-    z = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
-    rate_mps = (later - z) / RATE_STEP_S
+    z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     recent = (
         estimate.accepted_ns - gate.step_ns < UNCONFIRMED_STEP_NS
         and gate.travel_since_step_m < params.step_travel_m
@@ -132,7 +131,7 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     if due:
         record_setpoints(adaptive)
         begin_period(adaptive.controller, clock.now_ns)
-    blend.setpoint_m, blend.rate_mps, blend.t_ns = z, rate_mps, clock.now_ns
+    blend.setpoint_m, blend.rate_mps, blend.t_ns = z, slope * speed_mps, clock.now_ns
     blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
     return z
 
