@@ -33,6 +33,7 @@ class NaiveResponse:
     def _begin_run(self, t_ns: int, z_m: float) -> None:
         self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
         self.top_z_m, self.top_ns = z_m, t_ns
+        self.low_z_m, self.low_ns = z_m, t_ns
         self.shift_ns, self.shift_m = None, 0.0
 
     def _observe_noise(self) -> None:
@@ -81,47 +82,55 @@ class NaiveResponse:
         elif self.phase == RUN and t_ns < self.settled_ns:
             self._begin_run(t_ns, z_m)
         elif self.phase == RUN:
-            self._look_for_a_descent(t_ns, z_m)
+            self._look_for_a_motion(t_ns, z_m)
         elif self.phase == HOLD:
             self._hold(t_ns, z_m)
         elif self.phase == LIFT:
             self._lift(t_ns, z_m)
 
-    def _look_for_a_descent(self, t_ns: int, z_m: float) -> None:
+    def _look_for_a_motion(self, t_ns: int, z_m: float) -> None:
         if z_m > self.top_z_m:
             self.top_z_m, self.top_ns = z_m, t_ns
-        descent_m = self.top_z_m - z_m
-        rate_mps = descent_m / max((t_ns - self.top_ns) * 1e-9, self.interval_s)
+        if z_m < self.low_z_m:
+            self.low_z_m, self.low_ns = z_m, t_ns
+        descent_m, ascent_m = self.top_z_m - z_m, z_m - self.low_z_m
+        fast = self.number >= r.MAX_MEAN
+        rises = r.ASCENT_SHARE * ascent_m > descent_m
+        if rises and self.number <= r.MIN_MEAN:
+            return
+        if rises:
+            motion_m, moved_m, since_ns = r.ASCENT_SHARE * ascent_m, ascent_m, t_ns - self.low_ns
+        else:
+            motion_m, moved_m, since_ns = descent_m, descent_m, t_ns - self.top_ns
+        rate_mps = moved_m / max(since_ns * 1e-9, self.interval_s)
         ahead = abs(self.lead_m) >= r.MIN_LEAD_M
         error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
-        wrong = (
-            error_m > self.band_m
-            and error_m > r.LAG_TAUS * self.tau_s * rate_mps
-            and error_m * descent_m > r.ERROR_MOTION * self.band_m * self.standoff_m
-        )
+        no_lag = error_m > r.LAG_TAUS * self.tau_s * rate_mps
+        work = error_m * motion_m / (self.band_m * self.standoff_m)
+        wrong = error_m > self.band_m and no_lag and work > r.ERROR_MOTION
         quiet = not self.noisy
-        enough = descent_m > r.MOTION_BANDS * self.band_m
-        far = descent_m > r.FAR_DESCENT * self.standoff_m
+        enough = motion_m > r.MOTION_BANDS * self.band_m
+        suspicious = enough and (wrong or quiet or self.rotation_failed)
+        far = motion_m > r.FAR_DESCENT * self.standoff_m
         long = self.in_run > r.MIN_LONG_MEANS * self.number
-        doubtful = (
-            self.number >= r.MAX_MEAN
-            and enough
-            and error_m > r.LAG_TAUS * self.tau_s * rate_mps
-            and error_m * descent_m > r.SHIFT_ERROR_MOTION * self.band_m * self.standoff_m
-        )
-        if long and self.shift_ns is None and (doubtful or descent_m > r.SHIFT_DESCENT * self.standoff_m):
+        doubtful = fast and enough and no_lag and work > r.SHIFT_ERROR_MOTION
+        distant = motion_m > r.SHIFT_DESCENT * self.standoff_m
+        if long and self.shift_ns is None and (doubtful or distant or (rises and suspicious)):
             self.shift_ns, self.shift_m = t_ns, r.SHIFT_BANDS * self.band_m
         allowed_s = self.delay_s + r.STOP_TAUS * self.tau_s + r.MIN_MEANS * self.number * self.interval_s
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > allowed_s
         begun = self.in_run > r.MIN_MEANS * self.number
-        if (long and far) or unanswered or (begun and enough and (wrong or quiet or self.rotation_failed)):
+        if unanswered or (not rises and ((long and far) or (begun and suspicious))):
             self.phase, self.begin_ns, self.begin_z_m, self.rate_mps = HOLD, t_ns, z_m, rate_mps
-            self.began_quiet = quiet
+            self.rose, self.began_quiet = rises, quiet
 
     def _hold(self, t_ns: int, z_m: float) -> None:
         since_s = (t_ns - self.begin_ns) * 1e-9
         not_descended_m = self.rate_mps * (since_s - self.delay_s - r.STOP_TAUS * self.tau_s)
-        if not_descended_m > r.MOTION_BANDS * self.band_m or since_s > r.MAX_PHASE_TAUS * self.tau_s:
+        waited = not_descended_m > r.MOTION_BANDS * self.band_m
+        if waited and self.rose and z_m - self.begin_z_m > 0.5 * self.rate_mps * since_s:
+            self._begin_run(t_ns, z_m)
+        elif waited or since_s > r.MAX_PHASE_TAUS * self.tau_s:
             self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
             self.lift_m, self.lifted = r.MOTION_BANDS * self.band_m, 0
 
@@ -133,12 +142,19 @@ class NaiveResponse:
         elif (t_ns - self.begin_ns) * 1e-9 > r.MAX_PHASE_TAUS * self.tau_s:
             self._begin_run(t_ns, z_m)
 
-    def raised_target_m(self, target_m: float) -> float:
-        """The target, shifted up in a long run, or the height that the test asks for when that is more."""
+    def target_in_test_m(self, target_m: float) -> float:
+        """The target, shifted up in a long run, or the height that the test asks for.
+
+        A test in a descent only raises the target. One in an ascent only lowers it: to the height where it
+        began, lifted, or when the range did not respond by no more than a stand-off above it.
+        """
         if self.phase == RUN:
             return target_m + self.shift_m
-        if self.phase == HOLD:
-            return max(target_m, self.begin_z_m)
+        height_m = self.begin_z_m
         if self.phase == LIFT:
-            return max(target_m, self.begin_z_m + self.lift_m)
-        return target_m
+            height_m += self.lift_m
+        elif self.phase == NONE:
+            height_m += self.standoff_m
+        if self.rose:
+            return min(target_m, height_m)
+        return target_m if self.phase == NONE else max(target_m, height_m)

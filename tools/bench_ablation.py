@@ -145,7 +145,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
-    "test of the response": [("response", "if far or late or (", "if False and (")],
+    "test of the response": [("response", "if late or (at_once and not rises):", "if False:")],
     "shift before a hold": [("response", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
 }
 

@@ -190,7 +190,7 @@ def test_the_weights_of_a_sensor_without_any_noise_stay_finite():
 )
 def test_a_few_samples_on_flat_ground_do_not_move_the_setpoint(case, speed_mps, seed):
     job = Job("excursion", "ours", seed, Conditions(), speed_mps=speed_mps, case=case)
-    assert excursion(job)["excursion_m"] < 0.13e-3
+    assert excursion(job)["excursion_m"] < 0.12e-3
 
 
 def ran_over(heights_m: np.ndarray, speed_mps: float) -> tuple[float, float]:

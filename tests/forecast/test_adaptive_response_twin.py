@@ -8,8 +8,8 @@ from naive_response import HOLD, LIFT, NONE, RUN, NaiveResponse
 from surffollow.forecast.sensing.response import (
     is_unresponsive,
     observe_response,
-    raised_target,
     reset_response,
+    setpoint_range,
     setpoint_shift_m,
 )
 from surffollow.shm.dtypes import zeros
@@ -19,11 +19,11 @@ from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN
 from .feeding import default_params
 
 PHASES = RUN, HOLD, LIFT, NONE
-ESTIMATES = "mean_m", "run_range_m", "noise_m", "usual_m", "run_z_m"
+ESTIMATES = "mean_m", "run_range_m", "noise_m", "usual_m", "top_z_m", "low_z_m"
 STANDOFF_M, SIGMA_M, GAP_S = 0.1, 2.5e-4, 0.2
 
 
-def states_seen(seed: int) -> set[str]:
+def states_seen(seed: int) -> set[tuple[str, bool]]:
     """Drive kernel and twin with an axis that obeys the test; ground, noise and faults are drawn."""
     rng = np.random.default_rng(seed)
     tau_s, interval_s = float(rng.choice([0.02, 0.1])), float(rng.choice([0.004, 0.03]))
@@ -39,12 +39,13 @@ def states_seen(seed: int) -> set[str]:
     twin = NaiveResponse(tau_s, interval_s, STANDOFF_M, SIGMA_M, GAP_S, lead_m, delay_s, rotation_failed)
     seen, t_ns, z, ground, stuck = set(), 1_000_000, STANDOFF_M, 0.0, None
     in_kernel, in_twin = [], []
-    slope, noisy = 0.0, True
+    slope, noisy, disobeys = 0.0, True, False
     for k in range(1500):
         if k % 150 == 0:
-            slope = float(rng.choice([0.0, -0.05, -0.2, -0.8, 0.1]))
-            stuck = STANDOFF_M + float(rng.choice([0.0, 5e-4, 4e-3])) if rng.random() < 0.6 else None
+            slope = float(rng.choice([0.0, -0.05, -0.2, -0.8, 0.1, 0.5]))
+            stuck = STANDOFF_M + float(rng.choice([0.0, 5e-4, 4e-3, -2e-3])) if rng.random() < 0.6 else None
             noisy = rng.random() < 0.7
+            disobeys = rng.random() < 0.1  # somebody else moves the tool up
         t_ns += round(1e9 * (GAP_S * 2 if rng.random() < 2e-3 else interval_s))
         ground += slope * interval_s
         read = (z - ground if stuck is None else stuck) + SIGMA_M * rng.standard_normal() * noisy
@@ -55,15 +56,15 @@ def states_seen(seed: int) -> set[str]:
         assert PHASES[record["phase"]] == twin.phase, (seed, k)
         assert is_unresponsive(record) == (twin.phase == NONE)
         in_kernel.append([record[n] for n in ESTIMATES])
-        in_twin.append((twin.mean_m, twin.run_m, twin.noise_m, twin.usual_m, twin.top_z_m))
+        in_twin.append((twin.mean_m, twin.run_m, twin.noise_m, twin.usual_m, twin.top_z_m, twin.low_z_m))
         target = z + STANDOFF_M - read
-        asked, expected = (
-            raised_target(record, target + setpoint_shift_m(record)),
-            twin.raised_target_m(target),
-        )
+        lowest, highest = setpoint_range(record, STANDOFF_M)
+        asked = min(max(target + setpoint_shift_m(record), lowest), highest)
+        expected = twin.target_in_test_m(target)
         assert abs(asked - expected) <= max(1e-12, 1e-6 * abs(expected)), (seed, k)
         z += (asked - z) * min(1.0, interval_s / tau_s)
-        seen.add(twin.phase)
+        z += 0.2 * interval_s * disobeys
+        seen.add((twin.phase, twin.phase in (HOLD, LIFT) and twin.rose))
     # a row for each sample
     np.testing.assert_allclose(in_kernel, in_twin, rtol=1e-9, err_msg=f"seed {seed}")
     return seen
@@ -71,4 +72,5 @@ def states_seen(seed: int) -> set[str]:
 
 def test_the_kernel_decides_as_the_twin_in_every_phase():
     """GIVEN drawn grounds and faults WHEN both see the same samples THEN they agree in every sample."""
-    assert set.union(*(states_seen(seed) for seed in range(30))) == set(PHASES)
+    expected = {(phase, False) for phase in PHASES} | {(HOLD, True), (LIFT, True)}
+    assert set.union(*(states_seen(seed) for seed in range(30))) == expected

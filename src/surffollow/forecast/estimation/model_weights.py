@@ -27,7 +27,7 @@ MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
 BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # of the variance penalty; samples for the index' full power
 MIN_BURN_IN_SHARE = 0.03  # of these samples: errors far beyond the noise are significant after a few
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
-CHANCE_PENALTY = np.array([0.0, 1.0, 5.0])[KIND]
+CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[KIND]
 BURN_IN_CHANCE_FACTOR = 4.0  # at the start, falling to 1
 # power of the effort: on rough ground the smoother of two equal models is better, and during
 # burn-in a model that follows the noise may fit by chance

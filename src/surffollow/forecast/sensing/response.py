@@ -10,6 +10,8 @@ In a longer descent the setpoint is shifted up by a little more than the noise h
 the shift ends the run; without that, or after a descent by half the stand-off, a hold follows.
 """
 
+import math
+
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
@@ -24,6 +26,7 @@ from surffollow.shm.layout_adaptive_sensing import (
 MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
 ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
+ASCENT_SHARE = 0.25  # of an ascent counts
 SHIFT_ERROR_MOTION = 0.06  # error times descent as above from which a fast sensor is tested by a shift
 SHIFT_DESCENT = 0.25  # of the stand-off: beyond, the setpoint is shifted up …
 SHIFT_BANDS = 2.0  # … by so many bands; an answer spares the hold
@@ -45,8 +48,9 @@ MAX_PHASE_TAUS = 50.0  # after which a tool that does not do as it is asked ends
 def _begin_run(response, t_ns, tool_z_m):
     """Begin a run of constant ranges at the present mean."""
     response.phase, response.count = RESPONSE_RUN, 0
-    response.run_range_m, response.run_z_m, response.run_ns = response.mean_m, tool_z_m, t_ns
-    response.run_samples = 0
+    response.run_range_m, response.run_samples = response.mean_m, 0
+    response.top_z_m = response.low_z_m = tool_z_m
+    response.top_ns = response.low_ns = t_ns
     response.lift_m = 0.0
 
 
@@ -112,7 +116,10 @@ def is_suspicious(error, motion, rate, band, tau_s, reach):
 
 @jit
 def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
-    """Shift the setpoint, or begin a hold, in a descent with a constant range that gives cause to it.
+    """Shift the setpoint, or begin a hold, in a motion with a constant range that gives cause to it.
+
+    An ascent leads away from the ground: it counts a fourth, and is held only after a shift without answer,
+    under a slow sensor never.
 
     Parameters
     ----------
@@ -124,30 +131,41 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     """
     response, tau, standoff_m = adaptive.response, adaptive.plant.tau_s, params.offset_m
     interval = max(adaptive.prediction.interval_s, 1e-6)
-    if tool_z_m > response.run_z_m:
-        response.run_z_m, response.run_ns = tool_z_m, t_ns
-    descent = response.run_z_m - tool_z_m
-    rate = descent / max((t_ns - response.run_ns) * 1e-9, interval)
+    if tool_z_m > response.top_z_m:
+        response.top_z_m, response.top_ns = tool_z_m, t_ns
+    if tool_z_m < response.low_z_m:
+        response.low_z_m, response.low_ns = tool_z_m, t_ns
+    descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
+    fast = number >= MAX_MEAN  # with fewer samples in τ the ground changes while an answer is awaited
+    rises = ASCENT_SHARE * ascent > descent
+    if rises and number <= MIN_MEAN:
+        return
+    motion = ASCENT_SHARE * ascent if rises else descent
+    rate = ascent / max((t_ns - response.low_ns) * 1e-9, interval)
+    if not rises:
+        rate = descent / max((t_ns - response.top_ns) * 1e-9, interval)
     below = abs(adaptive.sample.lead_m) < MIN_LEAD_M
     error = abs(response.run_range_m - standoff_m) if below else 0.0
-    wrong = is_suspicious(error, descent, rate, band_m, tau, standoff_m)
-    noisy, perceptible = _is_noisy(response), descent > MOTION_BANDS * band_m
+    wrong = is_suspicious(error, motion, rate, band_m, tau, standoff_m)
+    noisy, perceptible = _is_noisy(response), motion > MOTION_BANDS * band_m
     long = response.run_samples > MIN_LONG_MEANS * number
-    far = long and descent > FAR_DESCENT * standoff_m
-    doubtful = (  # with fewer samples in τ the ground changes while the answer is awaited
-        number >= MAX_MEAN
+    doubtful = (
+        fast
         and perceptible
         and error > LAG_TAUS * tau * rate
-        and error * descent > SHIFT_ERROR_MOTION * band_m * standoff_m
+        and error * motion > SHIFT_ERROR_MOTION * band_m * standoff_m
     )
-    if long and response.lift_m == 0.0 and (doubtful or descent > SHIFT_DESCENT * standoff_m):
+    suspicious = (wrong or not noisy or adaptive.rotation.phase == ROTATION_FAILED) and perceptible
+    shifts = doubtful or motion > SHIFT_DESCENT * standoff_m or (rises and suspicious)
+    if long and response.lift_m == 0.0 and shifts:
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
     since_s = (t_ns - response.test_ns) * 1e-9
     late = response.lift_m > 0.0 and since_s > stop_s(adaptive) + MIN_MEANS * number * interval
-    suspicious = (wrong or not noisy or adaptive.rotation.phase == ROTATION_FAILED) and perceptible
-    if far or late or (suspicious and response.run_samples > MIN_MEANS * number):
+    far = long and motion > FAR_DESCENT * standoff_m
+    at_once = far or (suspicious and response.run_samples > MIN_MEANS * number)
+    if late or (at_once and not rises):
         response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
-        response.rate_mps, response.quiet = rate, 0 if noisy else 1
+        response.rate_mps, response.quiet = -rate if rises else rate, 0 if noisy else 1
 
 
 @jit
@@ -167,8 +185,11 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
     response, tau_s = adaptive.response, adaptive.plant.tau_s
     since_s = (t_ns - response.test_ns) * 1e-9
     if response.phase == RESPONSE_HOLD:
-        missing = response.rate_mps * (since_s - stop_s(adaptive))
-        if missing > MOTION_BANDS * band_m or since_s > MAX_PHASE_TAUS * tau_s:
+        missing = abs(response.rate_mps) * (since_s - stop_s(adaptive))
+        climbs = tool_z_m - response.test_z_m > -0.5 * response.rate_mps * since_s > 0.0
+        if missing > MOTION_BANDS * band_m and climbs:
+            _begin_run(response, t_ns, tool_z_m)  # the tool obeys somebody else
+        elif missing > MOTION_BANDS * band_m or since_s > MAX_PHASE_TAUS * tau_s:
             response.phase, response.test_ns, response.test_z_m = RESPONSE_LIFT, t_ns, tool_z_m
             response.lift_m, response.count = MOTION_BANDS * band_m, 0
     elif response.phase == RESPONSE_LIFT:
@@ -230,13 +251,30 @@ def setpoint_shift_m(response):
 
 
 @jit
-def raised_target(response, target_m):
-    """Setpoint target, raised by a hold or a lift in progress [m]."""
-    if response.phase == RESPONSE_HOLD:
-        return max(target_m, response.test_z_m)
+def setpoint_range(response, standoff_m):
+    """Lowest and highest setpoint that a test permits: in a descent no lower one, in an ascent no higher one.
+
+    A tool that was led up by a range that does not respond rises by one stand-off more at most.
+
+    Parameters
+    ----------
+    response : record of `Response`
+    standoff_m : float64  desired height of the tool above the ground [m]
+
+    Returns
+    -------
+    2 × float64 [m]
+        ∓∞: no limit.
+    """
+    failed = response.phase == RESPONSE_FAILED
+    if response.phase == RESPONSE_RUN or (failed and response.rate_mps >= 0.0):
+        return -math.inf, math.inf
+    held_m = response.test_z_m
     if response.phase == RESPONSE_LIFT:
-        return max(target_m, response.test_z_m + response.lift_m)
-    return target_m
+        held_m += response.lift_m
+    if response.rate_mps >= 0.0:
+        return held_m, math.inf
+    return -math.inf, held_m + (standoff_m if failed else 0.0)
 
 
 @jit

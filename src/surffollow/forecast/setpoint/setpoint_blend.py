@@ -12,7 +12,7 @@ from surffollow.forecast.plant.controller_clock import begin_period
 from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.measurement import has_turned_back
-from surffollow.forecast.sensing.response import raised_target
+from surffollow.forecast.sensing.response import setpoint_range
 from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, PAUSE_S
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit
@@ -163,7 +163,7 @@ def filter_setpoint(params, adaptive, target_m):
 
 @jit
 def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, stuck):
-    """Setpoint, raised to the lowest one that is permitted [m].
+    """Setpoint within the range that is permitted [m].
 
     Parameters
     ----------
@@ -179,8 +179,9 @@ def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, stuck):
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     hardly_known = few or estimate.samples < INITIALISATION_SAMPLES
     no_descent = tool_z_m if hardly_known else -math.inf
-    confirmed = max(target_m, no_descent, withheld_setpoint(adaptive, standoff_m))
+    lowest, highest = setpoint_range(adaptive.response, standoff_m)
     # ground that is not seen may rise as steeply as it did before
     rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
     unseen = tool_z_m + rise_mps * adaptive.plant.tau_s if stuck else -math.inf
-    return max(raised_target(adaptive.response, confirmed), unseen)
+    tested = min(max(target_m, unseen, lowest), highest)
+    return max(tested, no_descent, withheld_setpoint(adaptive, standoff_m))
