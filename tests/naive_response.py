@@ -123,19 +123,22 @@ class NaiveResponse:
         if unanswered or (not rises and ((long and far) or (begun and suspicious))):
             self.phase, self.begin_ns, self.begin_z_m, self.rate_mps = HOLD, t_ns, z_m, rate_mps
             self.rose, self.began_quiet = rises, quiet
+            if rises:
+                self.phase, self.lifted = LIFT, 0
+                self.lift_m = (r.SHIFT_BANDS + r.MOTION_BANDS) * self.band_m
 
     def _hold(self, t_ns: int, z_m: float) -> None:
         since_s = (t_ns - self.begin_ns) * 1e-9
         not_descended_m = self.rate_mps * (since_s - self.delay_s - r.STOP_TAUS * self.tau_s)
-        waited = not_descended_m > r.MOTION_BANDS * self.band_m
-        if waited and self.rose and z_m - self.begin_z_m > 0.5 * self.rate_mps * since_s:
-            self._begin_run(t_ns, z_m)
-        elif waited or since_s > r.MAX_PHASE_TAUS * self.tau_s:
+        if not_descended_m > r.MOTION_BANDS * self.band_m or since_s > r.MAX_PHASE_TAUS * self.tau_s:
             self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
             self.lift_m, self.lifted = r.MOTION_BANDS * self.band_m, 0
 
     def _lift(self, t_ns: int, z_m: float) -> None:
-        if z_m - self.begin_z_m > 0.5 * self.lift_m:
+        risen_m = z_m - self.begin_z_m
+        if self.rose:  # as it would have without the greater shift
+            risen_m -= self.rate_mps * (t_ns - self.begin_ns) * 1e-9
+        if risen_m > 0.5 * r.MOTION_BANDS * self.band_m:
             self.lifted += 1
             if self.lifted > 2.0 * self.number:
                 self.phase = NONE
@@ -143,18 +146,15 @@ class NaiveResponse:
             self._begin_run(t_ns, z_m)
 
     def target_in_test_m(self, target_m: float) -> float:
-        """The target, shifted up in a long run, or the height that the test asks for.
-
-        A test in a descent only raises the target. One in an ascent only lowers it: to the height where it
-        began, lifted, or when the range did not respond by no more than a stand-off above it.
-        """
+        """The target, shifted up in a long run or in the test of an ascent, or what a test asks for."""
         if self.phase == RUN:
             return target_m + self.shift_m
-        height_m = self.begin_z_m
-        if self.phase == LIFT:
-            height_m += self.lift_m
-        elif self.phase == NONE:
-            height_m += self.standoff_m
         if self.rose:
-            return min(target_m, height_m)
-        return target_m if self.phase == NONE else max(target_m, height_m)
+            if self.phase == LIFT:
+                return target_m + self.lift_m
+            return min(target_m, self.begin_z_m + r.UNSEEN_RISE * self.standoff_m)
+        if self.phase == HOLD:
+            return max(target_m, self.begin_z_m)
+        if self.phase == LIFT:
+            return max(target_m, self.begin_z_m + self.lift_m)
+        return target_m

@@ -85,6 +85,7 @@ KINDS = {
     "stairs and slow": Kind((5e-3, 25e-3), signed=True, interval_ms=(20, 500)),
     "flank": Kind(slope=(1.0, 2.5), interval_ms=(READING_MS, 60), rises=True),
     "blocked and slow": Kind((0.0, 20e-3), (0.3, 1.5), signed=True, interval_ms=(READING_MS, 100)),
+    "blocked on a slope": Kind((0.0, 10e-3), (0.5, 2.0), signed=True, slope=(0.05, 0.3)),
 }
 MAX_CLIMB_MPS = 0.1  # over slopes of more than 1: half of what the axis can
 MAX_RISE = 0.25  # between two readings, of the distance between stand-off and near limit

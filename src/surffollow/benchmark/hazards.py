@@ -33,7 +33,7 @@ from surffollow.sim.plant import PlantConfig, axis_step, setpoint_for
 
 P_GAIN, P_TIMEOUT_MS, P_TIMEOUT_INTERVALS = 0.7, 130, 2.5
 HELD_MS = 100
-NOISY = ("blocked", "frozen", "constant and far", "all blocked", "blocked and slow")
+NOISY = ("blocked", "frozen", "constant and far", "all blocked", "blocked and slow", "blocked on a slope")
 PLANT = PlantConfig()
 
 

@@ -1,13 +1,15 @@
-"""Response of the range to the tool's own motion: an active test of the sensor during descents.
+"""Response of the range to the tool's own motion: an active test of the sensor.
 
 A sensor that no longer sees the ground (stuck, or blocked by something that moves with it) reads a constant
-range with any noise. The tool then makes the ground fall by itself: what it descends, the height falls.
-A follower that tracks a falling plane well reads a constant range, too, but that is the wanted one, with
-the usual noise. A descent with a constant range that is not the wanted one, or with far less noise, is
-tested: the tool stops descending (`RESPONSE_HOLD`), and the range must grow by the descent that does not take
-place. If it does not, the tool rises (`RESPONSE_LIFT`), and the range must follow.
-In a longer descent the setpoint is shifted up by a little more than the noise hides. A range that grows by
-the shift ends the run; without that, or after a descent by half the stand-off, a hold follows.
+range with any noise. The tool then makes the ground move by itself: what it descends, the height falls, and
+what it climbs, the height rises.
+A follower that tracks a plane well reads a constant range, too, but that is the wanted one, with the usual
+noise. A descent with a constant range that is not the wanted one, or with far less noise, is tested: the tool
+stops (`RESPONSE_HOLD`), and the range must change by the motion that does not take place. If it does not, the
+tool rises (`RESPONSE_LIFT`), and the range must follow.
+In a longer motion the setpoint is shifted up by a little more than the noise hides. A range that grows by
+the shift ends the run; without that, or after a descent by half the stand-off, a hold follows. An ascent
+leads away from the ground: it is tested by that shift, and then by a greater one, but never held.
 """
 
 import math
@@ -27,6 +29,9 @@ MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change
 ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
 ASCENT_SHARE = 0.25  # of an ascent counts
+UNSEEN_RISE = (
+    3.0  # in stand-offs: ground that is not seen may have risen with the tool, or the fault led it up
+)
 SHIFT_ERROR_MOTION = 0.06  # error times descent as above from which a fast sensor is tested by a shift
 SHIFT_DESCENT = 0.25  # of the stand-off: beyond, the setpoint is shifted up …
 SHIFT_BANDS = 2.0  # … by so many bands; an answer spares the hold
@@ -118,8 +123,8 @@ def is_suspicious(error, motion, rate, band, tau_s, reach):
 def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     """Shift the setpoint, or begin a hold, in a motion with a constant range that gives cause to it.
 
-    An ascent leads away from the ground: it counts a fourth, and is held only after a shift without answer,
-    under a slow sensor never.
+    An ascent leads away from the ground: it counts a fourth. After a shift without answer it is tested by a
+    greater one, under a slow sensor not at all.
 
     Parameters
     ----------
@@ -164,8 +169,11 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     far = long and motion > FAR_DESCENT * standoff_m
     at_once = far or (suspicious and response.run_samples > MIN_MEANS * number)
     if late or (at_once and not rises):
-        response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
+        response.phase, response.count = RESPONSE_LIFT if rises else RESPONSE_HOLD, 0
+        response.test_ns, response.test_z_m = t_ns, tool_z_m
         response.rate_mps, response.quiet = -rate if rises else rate, 0 if noisy else 1
+        if rises:
+            response.lift_m = (SHIFT_BANDS + MOTION_BANDS) * band_m
 
 
 @jit
@@ -176,7 +184,7 @@ def stop_s(adaptive):
 
 @jit
 def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
-    """Go from a hold to a lift, and from a lift to its end.
+    """Go from a hold to a lift, and from a lift, or the greater shift of an ascent, to its end.
 
     Parameters
     ----------
@@ -185,15 +193,13 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
     response, tau_s = adaptive.response, adaptive.plant.tau_s
     since_s = (t_ns - response.test_ns) * 1e-9
     if response.phase == RESPONSE_HOLD:
-        missing = abs(response.rate_mps) * (since_s - stop_s(adaptive))
-        climbs = tool_z_m - response.test_z_m > -0.5 * response.rate_mps * since_s > 0.0
-        if missing > MOTION_BANDS * band_m and climbs:
-            _begin_run(response, t_ns, tool_z_m)  # the tool obeys somebody else
-        elif missing > MOTION_BANDS * band_m or since_s > MAX_PHASE_TAUS * tau_s:
+        missing = response.rate_mps * (since_s - stop_s(adaptive))
+        if missing > MOTION_BANDS * band_m or since_s > MAX_PHASE_TAUS * tau_s:
             response.phase, response.test_ns, response.test_z_m = RESPONSE_LIFT, t_ns, tool_z_m
             response.lift_m, response.count = MOTION_BANDS * band_m, 0
     elif response.phase == RESPONSE_LIFT:
-        if tool_z_m - response.test_z_m > 0.5 * response.lift_m:
+        risen = tool_z_m - response.test_z_m + min(response.rate_mps, 0.0) * since_s  # beyond an ascent
+        if risen > 0.5 * MOTION_BANDS * band_m:
             response.count += 1
             if response.count > MIN_MEANS * number:
                 response.phase = RESPONSE_FAILED
@@ -246,15 +252,20 @@ def is_unresponsive(response):
 
 @jit
 def setpoint_shift_m(response):
-    """Height by which the setpoint is shifted up in a run, of blend and plan alike [m]."""
-    return response.lift_m if response.phase == RESPONSE_RUN else 0.0
+    """Height by which the setpoint is shifted up in a run, and in the test of an ascent [m].
+
+    Blend and plan are shifted alike.
+    """
+    shifted = response.phase == RESPONSE_RUN or (response.phase == RESPONSE_LIFT and response.rate_mps < 0.0)
+    return response.lift_m if shifted else 0.0
 
 
 @jit
 def setpoint_range(response, standoff_m):
-    """Lowest and highest setpoint that a test permits: in a descent no lower one, in an ascent no higher one.
+    """Lowest and highest setpoint that the test permits; ∓∞: no limit.
 
-    A tool that was led up by a range that does not respond rises by one stand-off more at most.
+    In the test of a descent the tool does not descend. A tool that a range without response led up rises by
+    `UNSEEN_RISE` stand-offs more at most.
 
     Parameters
     ----------
@@ -264,17 +275,16 @@ def setpoint_range(response, standoff_m):
     Returns
     -------
     2 × float64 [m]
-        ∓∞: no limit.
     """
-    failed = response.phase == RESPONSE_FAILED
-    if response.phase == RESPONSE_RUN or (failed and response.rate_mps >= 0.0):
-        return -math.inf, math.inf
-    held_m = response.test_z_m
-    if response.phase == RESPONSE_LIFT:
-        held_m += response.lift_m
-    if response.rate_mps >= 0.0:
-        return held_m, math.inf
-    return -math.inf, held_m + (standoff_m if failed else 0.0)
+    lowest_m, highest_m = -math.inf, math.inf
+    if response.rate_mps < 0.0:
+        if response.phase == RESPONSE_FAILED:
+            highest_m = response.test_z_m + UNSEEN_RISE * standoff_m
+    elif response.phase == RESPONSE_HOLD:
+        lowest_m = response.test_z_m
+    elif response.phase == RESPONSE_LIFT:
+        lowest_m = response.test_z_m + response.lift_m
+    return lowest_m, highest_m
 
 
 @jit
