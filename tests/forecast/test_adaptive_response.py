@@ -175,6 +175,20 @@ def test_a_sensor_that_sees_again_is_used_again():
     assert abs(heights[-1] - STANDOFF_M) < 1e-3
 
 
+def test_a_sensor_that_did_not_respond_and_falls_silent_is_lost_at_once():
+    """GIVEN a stuck sensor WHEN its readings end THEN no demand is VALID, long before the loss time-out."""
+
+    def stuck_then_silent(t, r, rng):
+        return (
+            math.nan if t > 3.0 else (STANDOFF_M + 3e-3 if t > 2.0 else r) + SIGMA_M * rng.standard_normal()
+        )
+
+    _, phases, states = closed_loop(lambda _: 0.0, stuck_then_silent, seconds=3.3)
+    assert RESPONSE_FAILED in phases
+    assert "VALID" in states[299]["status"]
+    assert "VALID" not in states[320]["status"]
+
+
 def test_a_reset_ends_a_test():
     f = standard()
     record = f._state["adaptive"][0]["response"]

@@ -251,6 +251,12 @@ def is_unresponsive(response):
 
 
 @jit
+def is_doubtful(response):
+    """Whether a hold or a lift is in progress, or the range did not follow it."""
+    return response.phase != RESPONSE_RUN
+
+
+@jit
 def setpoint_shift_m(response):
     """Height by which the setpoint is shifted up in a run, and in the test of an ascent [m].
 
