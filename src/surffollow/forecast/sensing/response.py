@@ -29,9 +29,7 @@ MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change
 ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
 ASCENT_SHARE = 0.25  # of an ascent counts
-UNSEEN_RISE = (
-    3.0  # in stand-offs: ground that is not seen may have risen with the tool, or the fault led it up
-)
+UNSEEN_RISE = 3.0  # in stand-offs: over unseen ground a tool that a fault may have led up rises no more
 SHIFT_ERROR_MOTION = 0.06  # error times descent as above from which a fast sensor is tested by a shift
 SHIFT_DESCENT = 0.25  # of the stand-off: beyond, the setpoint is shifted up …
 SHIFT_BANDS = 2.0  # … by so many bands; an answer spares the hold
