@@ -95,7 +95,7 @@ class NaiveResponse:
             self.low_z_m, self.low_ns = z_m, t_ns
         descent_m, ascent_m = self.top_z_m - z_m, z_m - self.low_z_m
         fast = self.number >= r.MAX_MEAN
-        rises = r.ASCENT_SHARE * ascent_m > descent_m
+        rises = r.ASCENT_SHARE * ascent_m > descent_m and descent_m < self.band_m
         if rises and self.number <= r.MIN_MEAN:
             return
         if rises:
@@ -136,6 +136,10 @@ class NaiveResponse:
 
     def _lift(self, t_ns: int, z_m: float) -> None:
         risen_m = z_m - self.begin_z_m
+        if self.rose and risen_m < -self.band_m:
+            self.rate_mps = self.band_m / ((t_ns - self.begin_ns) * 1e-9)
+            self.phase, self.begin_ns, self.begin_z_m, self.rose = HOLD, t_ns, z_m, False
+            return
         if self.rose:  # as it would have without the greater shift
             risen_m -= self.rate_mps * (t_ns - self.begin_ns) * 1e-9
         if risen_m > 0.5 * r.MOTION_BANDS * self.band_m:

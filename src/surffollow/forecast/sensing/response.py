@@ -140,7 +140,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
         response.low_z_m, response.low_ns = tool_z_m, t_ns
     descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
     fast = number >= MAX_MEAN  # with fewer samples in τ the ground changes while an answer is awaited
-    rises = ASCENT_SHARE * ascent > descent
+    rises = ASCENT_SHARE * ascent > descent and descent < band_m  # it has not turned down since
     if rises and number <= MIN_MEAN:
         return
     motion = ASCENT_SHARE * ascent if rises else descent
@@ -196,8 +196,11 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
             response.phase, response.test_ns, response.test_z_m = RESPONSE_LIFT, t_ns, tool_z_m
             response.lift_m, response.count = MOTION_BANDS * band_m, 0
     elif response.phase == RESPONSE_LIFT:
-        risen = tool_z_m - response.test_z_m + min(response.rate_mps, 0.0) * since_s  # beyond an ascent
-        if risen > 0.5 * MOTION_BANDS * band_m:
+        risen = tool_z_m - response.test_z_m
+        if response.rate_mps < 0.0 and risen < -band_m:  # the tool has turned down
+            response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
+            response.rate_mps = band_m / since_s
+        elif risen + min(response.rate_mps, 0.0) * since_s > 0.5 * MOTION_BANDS * band_m:  # beyond an ascent
             response.count += 1
             if response.count > MIN_MEANS * number:
                 response.phase = RESPONSE_FAILED
