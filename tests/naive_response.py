@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from surffollow.forecast.sensing import response as r
+from surffollow.forecast.setpoint.tested_setpoint import UNSEEN_RISE
 
 RUN, HOLD, LIFT, NONE = "run", "hold", "lift", "none"
 
@@ -22,6 +23,8 @@ class NaiveResponse:
     lead_m: float = 0.0
     delay_s: float = 0.0
     rotation_failed: bool = False
+    setpoint_m: float = 0.0
+    climb_mps: float = 0.0
     phase: str = RUN
     readings: list[float] = field(default_factory=list)
     last_ns: int | None = None
@@ -98,6 +101,9 @@ class NaiveResponse:
         rises = r.ASCENT_SHARE * ascent_m > descent_m and descent_m < self.band_m
         if rises and self.number <= r.MIN_MEAN:
             return
+        band_m = self.band_m
+        if rises:
+            band_m = max(band_m, r.BAND_SIGMAS * self.usual_m / math.sqrt(self.number))
         if rises:
             motion_m, moved_m, since_ns = r.ASCENT_SHARE * ascent_m, ascent_m, t_ns - self.low_ns
         else:
@@ -106,17 +112,17 @@ class NaiveResponse:
         ahead = abs(self.lead_m) >= r.MIN_LEAD_M
         error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
         no_lag = error_m > r.LAG_TAUS * self.tau_s * rate_mps
-        work = error_m * motion_m / (self.band_m * self.standoff_m)
-        wrong = error_m > self.band_m and no_lag and work > r.ERROR_MOTION
+        work = error_m * motion_m / (band_m * self.standoff_m)
+        wrong = error_m > band_m and no_lag and work > r.ERROR_MOTION
         quiet = not self.noisy
-        enough = motion_m > r.MOTION_BANDS * self.band_m
+        enough = motion_m > r.MOTION_BANDS * band_m
         suspicious = enough and (wrong or quiet or self.rotation_failed)
         far = motion_m > r.FAR_DESCENT * self.standoff_m
         long = self.in_run > r.MIN_LONG_MEANS * self.number
         doubtful = fast and enough and no_lag and work > r.SHIFT_ERROR_MOTION
         distant = motion_m > r.SHIFT_DESCENT * self.standoff_m
         if long and self.shift_ns is None and (doubtful or distant or (rises and suspicious)):
-            self.shift_ns, self.shift_m = t_ns, r.SHIFT_BANDS * self.band_m
+            self.shift_ns, self.shift_m = t_ns, r.SHIFT_BANDS * band_m
         allowed_s = self.delay_s + r.STOP_TAUS * self.tau_s + r.MIN_MEANS * self.number * self.interval_s
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > allowed_s
         begun = self.in_run > r.MIN_MEANS * self.number
@@ -125,7 +131,12 @@ class NaiveResponse:
             self.rose, self.began_quiet = rises, quiet
             if rises:
                 self.phase, self.lifted = LIFT, 0
-                self.lift_m = (r.SHIFT_BANDS + r.MOTION_BANDS) * self.band_m
+                self.added_m = r.MOTION_BANDS * band_m + self.tau_s * rate_mps
+                self.lift_m = self.shift_m + self.added_m
+                self.lead_before_m = self._lead_m(z_m)
+
+    def _lead_m(self, z_m: float) -> float:
+        return self.setpoint_m - z_m - self.climb_mps * (self.tau_s + self.delay_s)
 
     def _hold(self, t_ns: int, z_m: float) -> None:
         since_s = (t_ns - self.begin_ns) * 1e-9
@@ -135,18 +146,21 @@ class NaiveResponse:
             self.lift_m, self.lifted = r.MOTION_BANDS * self.band_m, 0
 
     def _lift(self, t_ns: int, z_m: float) -> None:
-        risen_m = z_m - self.begin_z_m
+        risen_m, since_s = z_m - self.begin_z_m, (t_ns - self.begin_ns) * 1e-9
+        stop_s = self.delay_s + r.STOP_TAUS * self.tau_s
         if self.rose and risen_m < -self.band_m:
-            self.rate_mps = self.band_m / ((t_ns - self.begin_ns) * 1e-9)
+            self.rate_mps = self.band_m / since_s
             self.phase, self.begin_ns, self.begin_z_m, self.rose = HOLD, t_ns, z_m, False
-            return
-        if self.rose:  # as it would have without the greater shift
-            risen_m -= self.rate_mps * (t_ns - self.begin_ns) * 1e-9
-        if risen_m > 0.5 * r.MOTION_BANDS * self.band_m:
+        elif self.rose:
+            if since_s > stop_s + r.ANSWER_TAUS * self.tau_s:
+                self.phase = NONE
+                if self._lead_m(z_m) - self.lead_before_m > 0.5 * self.added_m:
+                    self._begin_run(t_ns, z_m)
+        elif risen_m > 0.5 * self.lift_m:
             self.lifted += 1
             if self.lifted > 2.0 * self.number:
                 self.phase = NONE
-        elif (t_ns - self.begin_ns) * 1e-9 > r.MAX_PHASE_TAUS * self.tau_s:
+        elif since_s > r.MAX_PHASE_TAUS * self.tau_s:
             self._begin_run(t_ns, z_m)
 
     def target_in_test_m(self, target_m: float) -> float:
@@ -156,7 +170,7 @@ class NaiveResponse:
         if self.rose:
             if self.phase == LIFT:
                 return target_m + self.lift_m
-            return min(target_m, self.begin_z_m + r.UNSEEN_RISE * self.standoff_m)
+            return min(target_m, self.begin_z_m + UNSEEN_RISE * self.standoff_m)
         if self.phase == HOLD:
             return max(target_m, self.begin_z_m)
         if self.phase == LIFT:

@@ -59,7 +59,7 @@ EXCURSIONS, EXCURSION_SEEDS = ("slot", "glitch"), 15
 VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "full": [],
     "powers without sharpness": [("model_weights", "(s * s * alpha * alpha)", "1.0")],
-    "chance penalty": [("model_weights", "chance = s * s", "chance = 0.0 * s * s")],
+    "chance penalty": [("model_weights", "s * s * CHANCE_PENALTY[i]", "0.0")],
     "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],
     "effort power": [
@@ -116,7 +116,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "return params.max_wait_s",
         )
     ],
-    "adaptive wave numbers": [("estimate", "        adapt_waves(bank, h_m, r)", "        pass")],
+    "adaptive wave numbers": [("estimate", "        adapt_waves(bank, h_m, r, travel)", "        pass")],
     "decaying slopes": [("model_bank", "for length_m, qs in decaying]", "for length_m, qs in decaying[:0]]")],
     "levels but one": [("model_bank", "for qh in (3e-5, 3e-4, 2e-3, 2e-2)]", "for qh in (3e-4,)]")],
     "slopes with noise of the height": [
@@ -139,7 +139,6 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.0",
         )
     ],
-    "burn-in of chance": [("model_weights", "BURN_IN_CHANCE_FACTOR = 4.0", "BURN_IN_CHANCE_FACTOR = 1.0")],
     "more samples in a burst": [("innovation_gate", "BURST_TAUS = 0.25", "BURST_TAUS = 0.0")],
     "wider gate of sparse samples": [("innovation_gate", "PLAUSIBLE_SLOPE = 0.2", "PLAUSIBLE_SLOPE = 0.0")],
     "descent limit in a loss": [

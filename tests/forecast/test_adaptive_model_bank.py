@@ -107,7 +107,7 @@ def follow_wave(length_m, travel_m, adapts=True, noise_m=2e-4):
         height_m = 0.01 + 5e-3 * math.sin(2.0 * math.pi * k * d / length_m)
         measured_m = height_m + noise_m * rng.standard_normal()
         if adapts:
-            bank.adapt_waves(b, measured_m, noise_m**2)
+            bank.adapt_waves(b, measured_m, noise_m**2, d)
         bank.update_bank(b, measured_m, noise_m**2)
         bank.extrapolate_bank(b, 0.01)
         ahead_m = 0.01 + 5e-3 * math.sin(2.0 * math.pi * (k * d + 0.01) / length_m)
@@ -151,7 +151,7 @@ def test_adapting_a_wave_number_keeps_phase_and_amplitude():
     waves = slice(bank.WAVES, bank.N_MODELS)
     b["slope"][waves], b["curvature"][waves] = 0.1, -3.0
     before = b.copy()
-    bank.adapt_waves(b, 0.012, 1e-8)
+    bank.adapt_waves(b, 0.012, 1e-8, 1e-3)
     w, adapted = before["wave_number"][waves], b["wave_number"][waves]
     assert np.any(adapted != w)
     assert b["slope"][waves] / adapted == pytest.approx(before["slope"][waves] / w)

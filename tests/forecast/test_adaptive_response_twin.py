@@ -9,9 +9,8 @@ from surffollow.forecast.sensing.response import (
     is_unresponsive,
     observe_response,
     reset_response,
-    setpoint_range,
-    setpoint_shift_m,
 )
+from surffollow.forecast.setpoint.tested_setpoint import setpoint_range, setpoint_shift_m
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN
@@ -64,6 +63,8 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         assert abs(asked - expected) <= max(1e-12, 1e-6 * abs(expected)), (seed, k)
         z += (asked - z) * min(1.0, interval_s / tau_s)
         z += 0.2 * interval_s * disobeys
+        twin.setpoint_m = adaptive["setpoint"]["position_m"] = asked
+        twin.climb_mps = adaptive["kinematics"]["climb_mps"] = float(rng.choice([0.0, 0.1]))
         seen.add((twin.phase, twin.phase in (HOLD, LIFT) and twin.rose))
     # a row for each sample
     np.testing.assert_allclose(in_kernel, in_twin, rtol=1e-9, err_msg=f"seed {seed}")

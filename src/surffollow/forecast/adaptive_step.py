@@ -32,11 +32,12 @@ from surffollow.forecast.sensing.kinematics import (
     update_kinematics,
 )
 from surffollow.forecast.sensing.measurement import process_sample
-from surffollow.forecast.sensing.response import is_unresponsive, setpoint_shift_m
+from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.forecast.sensing.standoff import standoff_height
 from surffollow.forecast.setpoint.preview_control import plan_setpoint
 from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, filter_setpoint, permitted_setpoint
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint, mark_dryrun, release_setpoint
+from surffollow.forecast.setpoint.tested_setpoint import setpoint_shift_m
 from surffollow.forecast.terrain.known_ground import lowest_plan, reset_known_ground
 from surffollow.forecast.terrain.lookahead_sensor import observe_lookahead
 from surffollow.forecast.terrain.preview import (

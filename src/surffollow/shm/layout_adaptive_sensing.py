@@ -105,6 +105,8 @@ class Response(Schema):
     rate_mps = F64(unit="m/s", doc="rate of the descent before the test; negative: ascent")
     quiet = I64(doc="1: the test began with far less than the usual noise")
     lift_m = F64(unit="m", doc="height of the lift, or shift of the setpoint in a long run")
+    lead_m = F64(unit="m", doc="excess lead of the setpoint when the greater shift of an ascent began")
+    added_m = F64(unit="m", doc="by how much that shift is greater")
     settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")
     recent_m = F64(2, unit="m", doc="the newest ranges")
     samples = I64(doc="samples since the begin")

@@ -237,7 +237,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         update_noise(adaptive, h_m)
     r = max(noise.sigma_m, MIN_NOISE_M) ** 2
     if adapt:
-        adapt_waves(bank, h_m, r)
+        adapt_waves(bank, h_m, r, travel)
     update_bank(bank, h_m, r)
     blend_models(adaptive)
     nearer_m = h_m - estimate.height_m

@@ -27,7 +27,8 @@ SLOPE, CURVE, WAVE = 0, 1, 2
 _N_WAVES, _PER_OCTAVE, _LONGEST_WAVE_M = 11, 3, 0.6
 _STRAIGHT_M = 1e3  # slopes that do not decay
 BAND = 2.0 ** (0.5 / _PER_OCTAVE)  # a wave number stays within this factor: bands of neighbours touch
-PHASE_WAVELENGTHS = 0.5  # over which a wave number takes up the corrections of the phase
+LOOP_SHARE = 0.25  # of the gain of the phase, in that of the wave number: the loop is critically damped …
+MAX_LOOP_SHARE = 1.0 / math.pi  # … and changes ω by no more per correction of the phase by 1 rad
 
 
 def _models() -> Any:
@@ -145,22 +146,24 @@ def update_bank(bank, h_m, variance_m2):
 
 
 @jit
-def adapt_waves(bank, h_m, variance_m2):
+def adapt_waves(bank, h_m, variance_m2, d_m):
     """Adapt the wave numbers with a height that comes next in `update_bank`; phase and amplitude stay.
 
-    With sine y = −κ/ω² and cosine u = θ/ω of a wave, the update corrects its phase by
+    With sine y = −κ/ω² and cosine u = θ/ω of a wave, and the gain k = p00 / (p00 + σ²) of its height, the
+    update corrects its phase by
 
-        δφ = (u δy − y δu) / (y² + u² + σ²),   and   δω = ω δφ / (2π `PHASE_WAVELENGTHS`).
+        δφ = (u δy − y δu) / (y² + u² + σ²),   and   δω = min(k / 4d, ω/π) δφ
 
-    An amplitude below the noise σ has no phase.
+    after a distance d. An amplitude below the noise σ has no phase.
     """
     for i in range(WAVES, N_MODELS):
         w = bank.wave_number[i]
-        v = (h_m - bank.height_m[i]) / (bank.p00[i] + variance_m2)
+        f = 1.0 / (bank.p00[i] + variance_m2)
+        v = f * (h_m - bank.height_m[i])
         sine, cosine = -bank.curvature[i] / (w * w), bank.slope[i] / w
         turn = -cosine * bank.p02[i] * v / (w * w) - sine * bank.p01[i] * v / w
         turn /= sine * sine + cosine * cosine + variance_m2
-        adapted = w * (1.0 + turn / (2.0 * math.pi * PHASE_WAVELENGTHS))
+        adapted = w + turn * min(LOOP_SHARE * bank.p00[i] * f / d_m, MAX_LOOP_SHARE * w)
         adapted = min(max(adapted, SCALE[i] / BAND), SCALE[i] * BAND)
         bank.slope[i] *= adapted / w
         bank.curvature[i] *= (adapted / w) ** 2

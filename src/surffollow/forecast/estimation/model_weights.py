@@ -28,7 +28,6 @@ BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # of the variance penalty; sampl
 MIN_BURN_IN_SHARE = 0.03  # of these samples: errors far beyond the noise are significant after a few
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[KIND]
-BURN_IN_CHANCE_FACTOR = 4.0  # at the start, falling to 1
 # power of the effort: on rough ground the smoother of two equal models is better, and during
 # burn-in a model that follows the noise may fit by chance
 ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
@@ -100,7 +99,6 @@ def compute_costs(params, adaptive):
     noise_j = params.noise_share * min(noise_m * noise_m, least_j)
     noise_l = params.noise_share * min(noise_m * noise_m, least_l)
     floor = params.score_floor_m * params.score_floor_m
-    chance = s * s * (BURN_IN_CHANCE_FACTOR - (BURN_IN_CHANCE_FACTOR - 1.0) * alpha)
     # after an initialisation the models' own variance decides; fine differences need many scored samples
     n_b = BURN_IN_SAMPLES * max(s * s, MIN_BURN_IN_SHARE)
     variance_share = 1.0 - min(adaptive.estimate.samples, weights.scored) / n_b
@@ -111,7 +109,7 @@ def compute_costs(params, adaptive):
     for i in range(N_MODELS):
         c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
-        c += p_e * shadow.log_effort[i] + chance * CHANCE_PENALTY[i]
+        c += p_e * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
         if variance_share > 0.0:
             variance_m2 = extrapolation_variance(i, adaptive.bank, ahead_m) + noise_m * noise_m
             c += VARIANCE_PENALTY * variance_share * math.log(variance_m2)

@@ -7,7 +7,7 @@ from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
-from surffollow.forecast.sensing.response import is_doubtful
+from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
     DROPOUT,
@@ -163,11 +163,11 @@ def is_dropout(adaptive):
 def is_lost(params, adaptive):
     """Whether no sample entered a confirmed estimate within the loss time-out.
 
-    An estimate of a single sample is not confirmed. A sensor whose range did not respond, or is in a test,
-    and that falls silent has nothing to continue from.
+    An estimate of a single sample is not confirmed. A sensor whose range did not respond, and that
+    falls silent, has nothing to continue from.
     """
     estimate = adaptive.estimate
-    if estimate.samples == 0 or (is_doubtful(adaptive.response) and is_dropout(adaptive)):
+    if estimate.samples == 0 or (is_unresponsive(adaptive.response) and is_dropout(adaptive)):
         return True
     return adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
 

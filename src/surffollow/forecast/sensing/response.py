@@ -12,8 +12,6 @@ the shift ends the run; without that, or after a descent by half the stand-off, 
 leads away from the ground: it is tested by that shift, and then by a greater one, but never held.
 """
 
-import math
-
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
@@ -29,7 +27,6 @@ MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change
 ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
 FAR_DESCENT = 0.5  # of the stand-off: beyond, a constant range is always tested, before the tool can touch
 ASCENT_SHARE = 0.25  # of an ascent counts
-UNSEEN_RISE = 3.0  # in stand-offs: over unseen ground a tool that a fault may have led up rises no more
 SHIFT_ERROR_MOTION = 0.06  # error times descent as above from which a fast sensor is tested by a shift
 SHIFT_DESCENT = 0.25  # of the stand-off: beyond, the setpoint is shifted up …
 SHIFT_BANDS = 2.0  # … by so many bands; an answer spares the hold
@@ -44,6 +41,7 @@ BAND_SIGMAS = 3.0  # of the mean: the range has changed …
 TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
 OUTLIER_SIGMAS = 3.0  # one sample moves the mean by no more
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
+ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 MAX_PHASE_TAUS = 50.0  # after which a tool that does not do as it is asked ends the test
 
 
@@ -118,6 +116,13 @@ def is_suspicious(error, motion, rate, band, tau_s, reach):
 
 
 @jit
+def _excess_lead_m(adaptive, tool_z_m):
+    """Distance by which the setpoint is ahead of the tool beyond what its climb explains [m]."""
+    climb_m = adaptive.kinematics.climb_mps * (adaptive.plant.tau_s + adaptive.latency.delay_s)
+    return adaptive.setpoint.position_m - tool_z_m - climb_m
+
+
+@jit
 def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     """Shift the setpoint, or begin a hold, in a motion with a constant range that gives cause to it.
 
@@ -141,8 +146,10 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
     fast = number >= MAX_MEAN  # with fewer samples in τ the ground changes while an answer is awaited
     rises = ASCENT_SHARE * ascent > descent and descent < band_m  # it has not turned down since
-    if rises and number <= MIN_MEAN:
+    if rises and (number <= MIN_MEAN or adaptive.setpoint.in_dryrun != 0):
         return
+    if rises:
+        band_m = max(band_m, BAND_SIGMAS * response.usual_m / number**0.5)  # a coarse sensor has a small σ
     motion = ASCENT_SHARE * ascent if rises else descent
     rate = ascent / max((t_ns - response.low_ns) * 1e-9, interval)
     if not rises:
@@ -171,7 +178,9 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
         response.test_ns, response.test_z_m = t_ns, tool_z_m
         response.rate_mps, response.quiet = -rate if rises else rate, 0 if noisy else 1
         if rises:
-            response.lift_m = (SHIFT_BANDS + MOTION_BANDS) * band_m
+            response.added_m = MOTION_BANDS * band_m + tau * rate  # it stands out from the lag of the axis
+            response.lift_m += response.added_m
+            response.lead_m = _excess_lead_m(adaptive, tool_z_m)
 
 
 @jit
@@ -196,16 +205,37 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
             response.phase, response.test_ns, response.test_z_m = RESPONSE_LIFT, t_ns, tool_z_m
             response.lift_m, response.count = MOTION_BANDS * band_m, 0
     elif response.phase == RESPONSE_LIFT:
-        risen = tool_z_m - response.test_z_m
-        if response.rate_mps < 0.0 and risen < -band_m:  # the tool has turned down
-            response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
-            response.rate_mps = band_m / since_s
-        elif risen + min(response.rate_mps, 0.0) * since_s > 0.5 * MOTION_BANDS * band_m:  # beyond an ascent
+        if response.rate_mps < 0.0:
+            _update_ascent(adaptive, t_ns, tool_z_m, band_m)
+        elif tool_z_m - response.test_z_m > 0.5 * response.lift_m:
             response.count += 1
             if response.count > MIN_MEANS * number:
                 response.phase = RESPONSE_FAILED
         elif since_s > MAX_PHASE_TAUS * tau_s:
             _begin_run(response, t_ns, tool_z_m)
+
+
+@jit
+def _update_ascent(adaptive, t_ns, tool_z_m, band_m):
+    """End the greater shift of an ascent, to which the range has not responded.
+
+    A tool that obeys has risen by it, and the setpoint is ahead of it by no more than before. Otherwise
+    somebody else leads the tool, or its axis cannot climb faster, and nothing is concluded.
+
+    Parameters
+    ----------
+    adaptive, t_ns, tool_z_m, band_m : as in `_update_run`
+    """
+    response = adaptive.response
+    since_s = (t_ns - response.test_ns) * 1e-9
+    if tool_z_m < response.test_z_m - band_m:  # it has turned down
+        response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
+        response.rate_mps = band_m / since_s
+    elif since_s > stop_s(adaptive) + ANSWER_TAUS * adaptive.plant.tau_s:
+        if _excess_lead_m(adaptive, tool_z_m) - response.lead_m > 0.5 * response.added_m:
+            _begin_run(response, t_ns, tool_z_m)
+        else:
+            response.phase = RESPONSE_FAILED
 
 
 @jit
@@ -249,49 +279,6 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
 def is_unresponsive(response):
     """Whether the range did not follow a test, and has not changed since."""
     return response.phase == RESPONSE_FAILED
-
-
-@jit
-def is_doubtful(response):
-    """Whether a hold or a lift is in progress, or the range did not follow it."""
-    return response.phase != RESPONSE_RUN
-
-
-@jit
-def setpoint_shift_m(response):
-    """Height by which the setpoint is shifted up in a run, and in the test of an ascent [m].
-
-    Blend and plan are shifted alike.
-    """
-    shifted = response.phase == RESPONSE_RUN or (response.phase == RESPONSE_LIFT and response.rate_mps < 0.0)
-    return response.lift_m if shifted else 0.0
-
-
-@jit
-def setpoint_range(response, standoff_m):
-    """Lowest and highest setpoint that the test permits; ∓∞: no limit.
-
-    In the test of a descent the tool does not descend. A tool that a range without response led up rises by
-    `UNSEEN_RISE` stand-offs more at most.
-
-    Parameters
-    ----------
-    response : record of `Response`
-    standoff_m : float64  desired height of the tool above the ground [m]
-
-    Returns
-    -------
-    2 × float64 [m]
-    """
-    lowest_m, highest_m = -math.inf, math.inf
-    if response.rate_mps < 0.0:
-        if response.phase == RESPONSE_FAILED:
-            highest_m = response.test_z_m + UNSEEN_RISE * standoff_m
-    elif response.phase == RESPONSE_HOLD:
-        lowest_m = response.test_z_m
-    elif response.phase == RESPONSE_LIFT:
-        lowest_m = response.test_z_m + response.lift_m
-    return lowest_m, highest_m
 
 
 @jit

@@ -12,8 +12,8 @@ from surffollow.forecast.plant.controller_clock import begin_period
 from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.measurement import has_turned_back
-from surffollow.forecast.sensing.response import setpoint_range
 from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, PAUSE_S
+from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit
 

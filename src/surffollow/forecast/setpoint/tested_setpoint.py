@@ -1,0 +1,50 @@
+"""Setpoint in a test of the sensor's response (`response`): its shift, its floor or its ceiling."""
+
+import math
+
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_sensing import (
+    RESPONSE_FAILED,
+    RESPONSE_HOLD,
+    RESPONSE_LIFT,
+    RESPONSE_RUN,
+)
+
+UNSEEN_RISE = 3.0  # in stand-offs: over unseen ground a tool that a fault may have led up rises no more
+
+
+@jit
+def setpoint_shift_m(response):
+    """Height by which the setpoint is shifted up in a run, and in the test of an ascent [m].
+
+    Blend and plan are shifted alike.
+    """
+    shifted = response.phase == RESPONSE_RUN or (response.phase == RESPONSE_LIFT and response.rate_mps < 0.0)
+    return response.lift_m if shifted else 0.0
+
+
+@jit
+def setpoint_range(response, standoff_m):
+    """Lowest and highest setpoint that the test permits; ∓∞: no limit.
+
+    In the test of a descent the tool does not descend. A tool that a range without response led up rises by
+    `UNSEEN_RISE` stand-offs more at most.
+
+    Parameters
+    ----------
+    response : record of `Response`
+    standoff_m : float64  desired height of the tool above the ground [m]
+
+    Returns
+    -------
+    2 × float64 [m]
+    """
+    lowest_m, highest_m = -math.inf, math.inf
+    if response.rate_mps < 0.0:
+        if response.phase == RESPONSE_FAILED:
+            highest_m = response.test_z_m + UNSEEN_RISE * standoff_m
+    elif response.phase == RESPONSE_HOLD:
+        lowest_m = response.test_z_m
+    elif response.phase == RESPONSE_LIFT:
+        lowest_m = response.test_z_m + response.lift_m
+    return lowest_m, highest_m
