@@ -87,6 +87,11 @@ def test_four_blocked_sensors_are_tested_by_their_mean_range(seed):
     assert ours.clearance_m > plain.clearance_m - 8e-3
 
 
+def test_a_tool_that_has_turned_down_is_tested_by_a_hold():
+    # it was taken to rise still, and went on descending: contact, VALID
+    assert not play(follower(), draw("blocked on a slope", 102071)).contact_valid
+
+
 def test_beams_that_do_not_respond_to_a_rotation_are_tested_by_a_hold():
     # until then the tool went on descending for up to a quarter of the stand-off: 29 mm
     scenario = draw("all blocked", 3019)

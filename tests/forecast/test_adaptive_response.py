@@ -13,7 +13,12 @@ from surffollow.benchmark.hazard_scenarios import FAR_M, NEAR_M, SIGMA_M, STANDO
 from surffollow.benchmark.hazards import PLoop, play
 from surffollow.benchmark.runner import run_method, scene_of, score_run
 from surffollow.benchmark.suite import Cell
-from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_RUN
+from surffollow.shm.layout_adaptive_sensing import (
+    RESPONSE_FAILED,
+    RESPONSE_HOLD,
+    RESPONSE_LIFT,
+    RESPONSE_RUN,
+)
 
 MS = 1_000_000
 TAU_MS = 40.0
@@ -23,8 +28,11 @@ def standard() -> Follower:
     return Follower({"sensors": [{"near_m": NEAR_M, "far_m": FAR_M}]}, offset_m=STANDOFF_M)
 
 
-def closed_loop(ground, read, seconds=4.0, seed=0, speed=0.2):
-    """Heights above the ground [m], phases of the test and states every 10 ms of a tool on an axis."""
+def closed_loop(ground, read, seconds=4.0, seed=0, speed=0.2, led=None):
+    """Heights above the ground [m], phases of the test and states every 10 ms of a tool on an axis.
+
+    `led`: height of the tool at a place [m]; another controller leads it.
+    """
     f, rng, z = standard(), np.random.default_rng(seed), ground(0.0) + STANDOFF_M
     target, heights, phases, states = z, [], [], []
     for ms in range(int(1e3 * seconds)):
@@ -38,7 +46,7 @@ def closed_loop(ground, read, seconds=4.0, seed=0, speed=0.2):
             heights.append(z - ground(x))
             phases.append(int(f._state["adaptive"][0]["response"]["phase"]))
             states.append(f.state())
-        z += (target - z) / TAU_MS
+        z = z + (target - z) / TAU_MS if led is None else led(x)
     return np.array(heights), phases, states
 
 
@@ -99,6 +107,36 @@ def test_a_good_sensor_on_a_long_rise_answers_a_small_shift_without_a_hold(read,
     on_rise = heights[200:] - STANDOFF_M
     assert abs(on_rise).max() < 6.0 * SIGMA_M
     assert on_rise.min() > -3.0 * SIGMA_M
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.3])
+def test_a_good_sensor_is_not_stuck_where_another_controller_leads_the_tool_up(slope):
+    """GIVEN a controller that keeps the distance by itself THEN its tool obeys no shift: no conclusion."""
+
+    def ground(x):
+        return slope * max(x - 0.1, 0.0)
+
+    def led(x):
+        return ground(x + TAU_MS * 1e-3 * 0.2) + STANDOFF_M
+
+    tested = 0
+    for seed in range(4):
+        _, phases, states = closed_loop(ground, noisy, seed=seed, seconds=6.0, led=led)
+        tested += RESPONSE_LIFT in phases
+        assert RESPONSE_FAILED not in phases
+        assert all(s["health"] != "STUCK" for s in states)
+    assert tested > 0, "the range stays constant in a climb"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_coarse_sensor_is_not_stuck_on_a_rise(seed):
+    """GIVEN readings in counts of 1 mm THEN a shift is greater than a count, and the range answers."""
+
+    def coarse(_, r, rng):
+        return 1e-3 * round(1e3 * (r + SIGMA_M * rng.standard_normal()))
+
+    _, phases, _ = closed_loop(lambda x: 0.2 * max(x - 0.1, 0.0), coarse, seed=seed, seconds=8.0)
+    assert RESPONSE_FAILED not in phases
 
 
 @pytest.mark.parametrize("seed", [3, 5, 6])

@@ -44,7 +44,7 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
             slope = float(rng.choice([0.0, -0.05, -0.2, -0.8, 0.1, 0.5]))
             stuck = STANDOFF_M + float(rng.choice([0.0, 5e-4, 4e-3, -2e-3])) if rng.random() < 0.6 else None
             noisy = rng.random() < 0.7
-            disobeys = rng.random() < 0.1  # somebody else moves the tool up
+            disobeys = rng.random() < 0.1  # another controller moves the tool up
         t_ns += round(1e9 * (GAP_S * 2 if rng.random() < 2e-3 else interval_s))
         ground += slope * interval_s
         read = (z - ground if stuck is None else stuck) + SIGMA_M * rng.standard_normal() * noisy

@@ -150,10 +150,10 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
         return
     if rises:
         band_m = max(band_m, BAND_SIGMAS * response.usual_m / number**0.5)  # a coarse sensor has a small σ
-    motion = ASCENT_SHARE * ascent if rises else descent
-    rate = ascent / max((t_ns - response.low_ns) * 1e-9, interval)
-    if not rises:
-        rate = descent / max((t_ns - response.top_ns) * 1e-9, interval)
+    motion, moved, since_ns = descent, descent, t_ns - response.top_ns
+    if rises:
+        motion, moved, since_ns = ASCENT_SHARE * ascent, ascent, t_ns - response.low_ns
+    rate = moved / max(since_ns * 1e-9, interval)
     below = abs(adaptive.sample.lead_m) < MIN_LEAD_M
     error = abs(response.run_range_m - standoff_m) if below else 0.0
     wrong = is_suspicious(error, motion, rate, band_m, tau, standoff_m)
@@ -220,7 +220,7 @@ def _update_ascent(adaptive, t_ns, tool_z_m, band_m):
     """End the greater shift of an ascent, to which the range has not responded.
 
     A tool that obeys has risen by it, and the setpoint is ahead of it by no more than before. Otherwise
-    somebody else leads the tool, or its axis cannot climb faster, and nothing is concluded.
+    another controller leads the tool, or its axis cannot climb faster, and a new run begins.
 
     Parameters
     ----------

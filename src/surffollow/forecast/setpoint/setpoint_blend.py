@@ -41,7 +41,7 @@ def dropout_s(adaptive):
 
 @jit
 def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
-    """Setpoints of all models at `ahead_m` beyond the newest footprint; returns their blend [m].
+    """Setpoints of all models `ahead_m` beyond the newest footprint; their blend and its slope.
 
     A model adds its slope times `lead_m`. The change of height is clamped to `max_slope` of the
     distance, plus 1 mm. Ground that is not seen may rise again where it fell: over the trail of a
@@ -56,6 +56,10 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
                           the tool goes back
     max_slope : float64   limit of the mean slope
     standoff_m : float64  desired height of the tool above the ground [m]
+
+    Returns
+    -------
+    float64 [m], float64
     """
     bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
     extrapolate_bank(bank, ahead_m)
