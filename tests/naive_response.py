@@ -25,6 +25,7 @@ class NaiveResponse:
     rotation_failed: bool = False
     setpoint_m: float = 0.0
     climb_mps: float = 0.0
+    applied: bool = True
     phase: str = RUN
     readings: list[float] = field(default_factory=list)
     last_ns: int | None = None
@@ -154,7 +155,7 @@ class NaiveResponse:
         elif self.rose:
             if since_s > stop_s + r.ANSWER_TAUS * self.tau_s:
                 self.phase = NONE
-                if self._lead_m(z_m) - self.lead_before_m > 0.5 * self.added_m:
+                if not self.applied or self._lead_m(z_m) - self.lead_before_m > 0.5 * self.added_m:
                     self._begin_run(t_ns, z_m)
         elif risen_m > 0.5 * self.lift_m:
             self.lifted += 1

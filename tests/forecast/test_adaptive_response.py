@@ -28,12 +28,13 @@ def standard() -> Follower:
     return Follower({"sensors": [{"near_m": NEAR_M, "far_m": FAR_M}]}, offset_m=STANDOFF_M)
 
 
-def closed_loop(ground, read, seconds=4.0, seed=0, speed=0.2, led=None):
+def closed_loop(ground, read, seconds=4.0, seed=0, speed=0.2, led=None, run="normal"):
     """Heights above the ground [m], phases of the test and states every 10 ms of a tool on an axis.
 
     `led`: height of the tool at a place [m]; another controller leads it.
     """
     f, rng, z = standard(), np.random.default_rng(seed), ground(0.0) + STANDOFF_M
+    f.set_params(run=run)
     target, heights, phases, states = z, [], [], []
     for ms in range(int(1e3 * seconds)):
         x = speed * ms * 1e-3
@@ -109,8 +110,9 @@ def test_a_good_sensor_on_a_long_rise_answers_a_small_shift_without_a_hold(read,
     assert on_rise.min() > -3.0 * SIGMA_M
 
 
+@pytest.mark.parametrize("run", ["normal", "dryrun", "freeze"])
 @pytest.mark.parametrize("slope", [0.1, 0.3])
-def test_a_good_sensor_is_not_stuck_where_another_controller_leads_the_tool_up(slope):
+def test_a_good_sensor_is_not_stuck_where_another_controller_leads_the_tool_up(slope, run):
     """GIVEN a controller that keeps the distance by itself THEN its tool obeys no shift: no conclusion."""
 
     def ground(x):
@@ -121,7 +123,7 @@ def test_a_good_sensor_is_not_stuck_where_another_controller_leads_the_tool_up(s
 
     tested = 0
     for seed in range(4):
-        _, phases, states = closed_loop(ground, noisy, seed=seed, seconds=6.0, led=led)
+        _, phases, states = closed_loop(ground, noisy, seed=seed, seconds=6.0, led=led, run=run)
         tested += RESPONSE_LIFT in phases
         assert RESPONSE_FAILED not in phases
         assert all(s["health"] != "STUCK" for s in states)

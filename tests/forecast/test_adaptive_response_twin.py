@@ -44,6 +44,7 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
             slope = float(rng.choice([0.0, -0.05, -0.2, -0.8, 0.1, 0.5]))
             stuck = STANDOFF_M + float(rng.choice([0.0, 5e-4, 4e-3, -2e-3])) if rng.random() < 0.6 else None
             noisy = rng.random() < 0.7
+            twin.applied = rng.random() < 0.8
             disobeys = rng.random() < 0.1  # another controller moves the tool up
         t_ns += round(1e9 * (GAP_S * 2 if rng.random() < 2e-3 else interval_s))
         ground += slope * interval_s
@@ -64,6 +65,7 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         z += (asked - z) * min(1.0, interval_s / tau_s)
         z += 0.2 * interval_s * disobeys
         twin.setpoint_m = adaptive["setpoint"]["position_m"] = asked
+        adaptive["setpoint"]["t_ns"] = int(twin.applied)
         twin.climb_mps = adaptive["kinematics"]["climb_mps"] = float(rng.choice([0.0, 0.1]))
         seen.add((twin.phase, twin.phase in (HOLD, LIFT) and twin.rose))
     # a row for each sample

@@ -16,10 +16,12 @@ from surffollow.forecast.estimation.model_bank import (
     WAVES,
     extrapolate_bank,
 )
-from surffollow.forecast.setpoint.setpoint_blend import HEIGHT_MARGIN_M, compute_setpoints
+from surffollow.forecast.setpoint.setpoint_blend import HEIGHT_MARGIN_M, blend_setpoints, compute_setpoints
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles_measured import from_points
+
+from .feeding import default_params
 
 
 def planes(slope: float) -> np.void:
@@ -78,6 +80,33 @@ def test_falling_ground_that_is_not_seen_counts_as_level(
     waves = slice(WAVES, N_MODELS)  # rise by themselves
     free = a["bank"]["rise_m"][waves] + lead_m * a["bank"]["slope_ahead"][waves]
     assert a["blend"]["model_m"][waves] - 2.1 == pytest.approx(free, abs=1e-12)
+
+
+@pytest.mark.parametrize("ahead_m", [-0.03, 0.004, 0.05])
+@pytest.mark.parametrize("steepest", [0.02, 30.0], ids=["clamped", "free"])
+def test_the_slope_of_the_blend_is_its_derivative(steepest, ahead_m):
+    rng, a, lead_m, d = np.random.default_rng(5), planes(0.0), 0.008, 1e-7
+    weights = rng.uniform(size=N_MODELS)
+    a["weights"]["weight"][:N_MODELS] = weights / weights.sum()
+    a["bank"]["slope"][:N_MODELS] = rng.uniform(-0.3, 0.3, N_MODELS)
+    a["bank"]["curvature"][:N_MODELS] = np.where(BANK[:, 0] == SLOPE, 0.0, rng.uniform(-5.0, 5.0, N_MODELS))
+    (low, _), (high, _) = (compute_setpoints(a, ahead_m + e, lead_m, steepest, 0.1) for e in (-d, d))
+    _, slope = compute_setpoints(a, ahead_m, lead_m, steepest, 0.1)
+    assert slope == pytest.approx((high - low) / (2.0 * d), rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("goes_back", [False, True])
+def test_between_two_blends_the_setpoint_rises_with_the_ground_in_the_direction_of_travel(goes_back):
+    a = planes(0.1)
+    a["weights"]["weight"][:WAVES] = 1.0 / WAVES
+    a["sample"]["heading_x"], a["kinematics"]["speed_mps"] = 1.0, 0.2
+    a["kinematics"]["velocity_x_mps"] = -0.2 if goes_back else 0.2
+    a["plant"]["tau_s"], a["estimate"]["slope_power"] = 0.0, 0.01
+    a["bank"]["slope"][:WAVES] = np.where(BANK[:WAVES, 1] > 1.0, 0.1, 0.0)
+    straight = float(np.mean(BANK[:WAVES, 1] > 1.0))
+    blend_setpoints(default_params(), a, 0, 0.0, 0.1, False)
+    expected_mps = 0.1 * straight * (-0.2 if goes_back else 0.2)
+    assert a["blend"]["rate_mps"] == pytest.approx(expected_mps, rel=1e-3)
 
 
 def errors_m(x_m: np.ndarray, heights_m: np.ndarray, speed_mps: float) -> np.ndarray:

@@ -198,7 +198,8 @@ def extrapolate_bank(bank, d):
         bank.rise_m[i] = sign * bank.f01[i] * slope + bank.f02[i] * curvature
         slope_ahead = bank.f11[i] * slope + sign * bank.f12[i] * curvature
         bank.slope_ahead[i] = slope_ahead
-        bank.bend_ahead[i] = sign * bank.f21[i] * slope + bank.f22[i] * curvature - DECAY[i] * slope_ahead
+        fades = sign * DECAY[i] * slope_ahead
+        bank.bend_ahead[i] = sign * bank.f21[i] * slope + bank.f22[i] * curvature - fades
 
 
 @jit

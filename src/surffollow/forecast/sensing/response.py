@@ -146,7 +146,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
     fast = number >= MAX_MEAN  # with fewer samples in τ the ground changes while an answer is awaited
     rises = ASCENT_SHARE * ascent > descent and descent < band_m  # it has not turned down since
-    if rises and (number <= MIN_MEAN or adaptive.setpoint.in_dryrun != 0):
+    if rises and number <= MIN_MEAN:
         return
     if rises:
         band_m = max(band_m, BAND_SIGMAS * response.usual_m / number**0.5)  # a coarse sensor has a small σ
@@ -232,7 +232,8 @@ def _update_ascent(adaptive, t_ns, tool_z_m, band_m):
         response.phase, response.test_ns, response.test_z_m = RESPONSE_HOLD, t_ns, tool_z_m
         response.rate_mps = band_m / since_s
     elif since_s > stop_s(adaptive) + ANSWER_TAUS * adaptive.plant.tau_s:
-        if _excess_lead_m(adaptive, tool_z_m) - response.lead_m > 0.5 * response.added_m:
+        applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
+        if not applied or _excess_lead_m(adaptive, tool_z_m) - response.lead_m > 0.5 * response.added_m:
             _begin_run(response, t_ns, tool_z_m)
         else:
             response.phase = RESPONSE_FAILED

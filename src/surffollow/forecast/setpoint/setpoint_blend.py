@@ -69,12 +69,12 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
-    z, slope = 0.0, 0.0
+    z, slope, sign = 0.0, 0.0, math.copysign(1.0, ahead_m)
     for i in range(N_MODELS):
         change = bank.rise_m[i] + lead_m * bank.slope_ahead[i]
         growth = bank.slope_ahead[i] + lead_m * bank.bend_ahead[i]
         if abs(change) > margin:
-            change, growth = math.copysign(margin, change), math.copysign(max_slope, change)
+            change, growth = math.copysign(margin, change), sign * math.copysign(max_slope, change)
         if i < WAVES and change < 0.0:
             change, growth = change * (1.0 - level_share), growth * (1.0 - level_share)
         t = bank.height_m[i] + change + standoff_m
