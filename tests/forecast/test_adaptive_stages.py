@@ -132,9 +132,10 @@ def test_a_slope_does_not_enter_the_noise():
         assert a["noise"]["sigma_m"] == pytest.approx(sigma, rel=0.3)
 
 
-def test_frozen_adaptation_keeps_weights_and_noise():
+def test_frozen_adaptation_keeps_weights_noise_and_wave_numbers():
     params = default_params()
-    a, _ = feed(np.zeros(300))
+    a, _ = feed(5e-3 * np.sin(2.0 * np.pi * 1e-3 * np.arange(300) / 0.13))
+    numbers = a["bank"]["wave_number"].copy()
     before = a["weights"]["weight"].copy(), float(a["noise"]["sigma_m"]), a["weights"]["recent_m2"].copy()
     rng = np.random.default_rng(1)
     for k in range(300, 500):
@@ -142,6 +143,7 @@ def test_frozen_adaptation_keeps_weights_and_noise():
     assert (a["weights"]["weight"] == before[0]).all()
     assert a["noise"]["sigma_m"] == before[1]
     assert (a["weights"]["recent_m2"] == before[2]).all()
+    assert (a["bank"]["wave_number"] == numbers).all()
 
 
 def test_a_setpoint_keeps_its_limits_and_arrives_without_overshoot():
