@@ -13,7 +13,7 @@ from surffollow import Follower
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.runner import run_method, scene_of, score_run
 from surffollow.benchmark.suite import Cell
-from surffollow.forecast.adaptive_step import reset_all
+from surffollow.forecast.reset import begin_anew
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.terrain import terrain_regression as regression
 from surffollow.forecast.terrain.preview import extrapolate_ground
@@ -203,11 +203,11 @@ def drive_leading(height_of: Callable[[int, float], float], readings: int) -> tu
     return f, f._state["adaptive"][0]
 
 
-def test_reset_all_discards_the_regression() -> None:
+def test_a_start_without_knowledge_discards_the_regression() -> None:
     f, a = drive_leading(lambda _, x: boxes(x), 600)
     assert a["regression"]["offset_offset_m2"].min() > 0.0
     assert a["regression"]["mean_length_m"] > 0.1
-    reset_all(f._params[0], a)
+    begin_anew(f._state, 0)
     assert a["regression"]["mean_height_m"] == a["regression"]["mean_length_m"] == 0.0
     for sums in SUMS:
         assert (a["regression"][sums] == 0.0).all()

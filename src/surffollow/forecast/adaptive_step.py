@@ -22,9 +22,8 @@ from surffollow.forecast.plant.plant_identification import (
     record_own_setpoint,
     update_plant,
 )
-from surffollow.forecast.reset import reset_all, reset_timestamps
 from surffollow.forecast.sensing.clock import update_clock
-from surffollow.forecast.sensing.health import is_lost, is_stuck, latch_fault, update_health
+from surffollow.forecast.sensing.health import forget, is_lost, is_stuck, latch_fault, update_health
 from surffollow.forecast.sensing.kinematics import (
     MIN_DIRECTION_SPEED_MPS,
     distance_along,
@@ -51,8 +50,10 @@ from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import (
     DROPOUT,
+    FAULT_CLOCK,
     FAULT_CLOSE,
     FAULT_LOST,
+    FAULT_NOT_FINITE,
     FAULT_STUCK,
     OUT_OF_RANGE,
     STUCK,
@@ -190,7 +191,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
     orients = params.orient != 0 and params.n_channels >= 3
     if update_clock(clock, inputs.t_ns, pose_t_ns):
-        reset_timestamps(adaptive)
+        return forget(health, FAULT_CLOCK)
     if update_kinematics(params, kinematics, sense):
         release_setpoint(setpoint)  # it is in the frame before the jump
     update_plant(params, adaptive, sense, params.adapt != 0 and params.run == RUN_NORMAL)
@@ -227,8 +228,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
-        reset_all(params, adaptive)
-        return NO_SENSOR | SENSOR_LOST
+        return forget(health, FAULT_NOT_FINITE)
     status = VALID
     if health.state in (DROPOUT, OUT_OF_RANGE, STUCK):
         status |= NO_SENSOR

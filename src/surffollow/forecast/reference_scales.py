@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS
+from surffollow.forecast.reset import begin_anew
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import (
@@ -79,7 +80,6 @@ def _table(schema: type[Schema]) -> NDArray[np.int64]:
 
 _PARAMS, _OUTPUT = _table(Params), _table(Output)
 _PARAMS_AT, _OUTPUT_AT = FollowState.offset("scaled", "params"), FollowState.offset("scaled", "output")
-_ADAPTIVE_AT, _ADAPTIVE_WORDS = FollowState.offset("adaptive"), FollowState.field("adaptive").size // 8
 _SCALED_AT, _SCALED_WORDS = FollowState.offset("scaled"), ScaledState.SIZE // 8
 
 
@@ -104,16 +104,14 @@ def choose_scales(params, state):
     if length == d.length and shift == d.shift:
         return
     begun = d.length != 0.0
-    address = state.ctypes.data
     for k in range(_SCALED_WORDS):
-        at.store_relaxed_i64(address + _SCALED_AT + 8 * k, 0)
+        at.store_relaxed_i64(state.ctypes.data + _SCALED_AT + 8 * k, 0)
     d.length, d.time, d.shift = length, math.ldexp(1.0, shift), shift
     for u in range(_POWERS.shape[0]):
         d.unit[u] = length ** _POWERS[u, 0] * d.time ** _POWERS[u, 1]
         d.per_unit[u] = 1.0 / d.unit[u]
     if begun:
-        for k in range(_ADAPTIVE_WORDS):
-            at.store_relaxed_i64(address + _ADAPTIVE_AT + 8 * k, 0)
+        begin_anew(state, 0)
 
 
 @jit_inlined

@@ -19,7 +19,7 @@ from surffollow.forecast.reference_scales import (
     scale_inputs,
     unscale_outputs,
 )
-from surffollow.forecast.reset import reset_surface
+from surffollow.forecast.reset import begin_anew, reset_surface
 from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing.latency_identification import check_configured_latency
 from surffollow.forecast.sensing.sample_hold import reset_hold
@@ -189,12 +189,13 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
 
 
 @jit
-def adaptive_cycle(params, adaptive, sense, fold, inputs, output, pose, ready):
+def adaptive_cycle(params, state, sense, fold, inputs, output, pose, ready):
     """Demand, if a pose is `ready`, and report of the adaptive mode in dimensionless numbers.
 
     Parameters
     ----------
-    params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
+    params, sense, fold, inputs, output : dimensionless records (`reference_scales`)
+    state : (1,) record of `FollowState`
     pose : (7,) float64 scratch
     ready : bool             there is a pose that is not stale
 
@@ -203,11 +204,13 @@ def adaptive_cycle(params, adaptive, sense, fold, inputs, output, pose, ready):
     int
         Status bits.
     """
+    adaptive, status = state[0].adaptive, 0
     if check_configured_latency(params, adaptive.latency):
         reset_hold(adaptive.hold)
-    status = 0
     if ready:
         status = compute_demand(params, adaptive, sense, fold, inputs, output, pose)
+    if adaptive.health.forget != 0:
+        begin_anew(state, adaptive.health.forget)
     publish_estimate(params, adaptive, output)
     return status
 
@@ -223,9 +226,9 @@ def scaled_adaptive_cycle(params, state, inputs, output, pose, ready):
     if d.length == 0.0:
         choose_scales(params, state)
     if is_unscaled(d):
-        return adaptive_cycle(params[0], s.adaptive, s.sense, s.fold, inputs[0], output[0], pose, ready)
+        return adaptive_cycle(params[0], state, s.sense, s.fold, inputs[0], output[0], pose, ready)
     scale_inputs(params, state, inputs, output)
-    status = adaptive_cycle(d.params, s.adaptive, d.sense, d.fold, d.inputs, d.output, pose, ready)
+    status = adaptive_cycle(d.params, state, d.sense, d.fold, d.inputs, d.output, pose, ready)
     unscale_outputs(state, output)
     return status
 

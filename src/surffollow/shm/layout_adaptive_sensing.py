@@ -73,6 +73,7 @@ class Health(Schema):
     since_ns = I64(unit="ns", doc="since when the candidate differs from the state")
     candidate = I64(doc="state without hysteresis")
     faults = I64(doc="bits of FAULT_NAMES, latched until the reset")
+    forget = I64(doc="fault for which the follower begins without knowledge behind this cycle; 0: none")
     close_count = I64(doc="samples in a row nearer than too_close_m")
     repeat_count = I64(doc="like samples in a row")
     stuck = I64(doc="1: stuck-at fault")

@@ -32,6 +32,7 @@ from surffollow.shm.layout_adaptive import (
     STUCK,
     SUSPECT,
 )
+from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
@@ -270,3 +271,10 @@ def count_close(health, close):
 def latch_fault(health, fault):
     """Latch a fault bit."""
     health.faults |= fault
+
+
+@jit
+def forget(health, fault):
+    """Ask for a start without knowledge behind this cycle, for a fault; status bits of the cycle."""
+    health.forget = fault
+    return NO_SENSOR | SENSOR_LOST
