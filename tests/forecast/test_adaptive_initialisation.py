@@ -17,16 +17,14 @@ NAN = float("nan")
 
 
 @pytest.mark.parametrize("first_m", [0.001, 0.002, 0.0045, -0.0045])
-def test_a_first_sample_a_few_millimetres_off_leaves_no_trace(first_m):
-    rng = np.random.default_rng(5)
-    heights = rng.normal(0.0, 1e-4, 60)
-    heights[0] += first_m
-    bad, _ = feed(heights, sigma=0.0)
-    good, _ = feed(heights[2:], sigma=0.0, start=3)
-    # two agree against it, and what follows is as if it had begun with the second of them
-    assert bad["estimate"]["height_m"] == good["estimate"]["height_m"]
-    assert bad["weights"]["scored"] == good["weights"]["scored"] > 0
-    np.testing.assert_array_equal(bad["weights"]["recent_m2"], good["weights"]["recent_m2"])
+def test_a_first_sample_a_few_millimetres_off_is_soon_forgotten(first_m):
+    """Within the noise after 20 samples, and within a hundredth of it after 60."""
+    for samples, share in ((20, 1.0), (60, 0.01)):
+        heights = np.random.default_rng(5).normal(0.0, 1e-4, samples)
+        heights[0] += first_m
+        bad, _ = feed(heights, sigma=0.0)
+        good, _ = feed(heights[2:], sigma=0.0, start=3)
+        assert abs(bad["estimate"]["height_m"] - good["estimate"]["height_m"]) < share * 1e-4
 
 
 def test_on_a_slope_the_second_sample_does_not_restart_the_estimate():
@@ -196,20 +194,16 @@ def test_a_real_step_down_at_rest_is_not_taken_back_between_slow_samples_or_late
     assert z == pytest.approx(z0 - 0.01, abs=3e-4)
 
 
-@pytest.mark.parametrize(("share", "speeds"), [(0.0, 1.0), (1.0, 10.0)])
-def test_without_preview_the_limits_are_those_that_the_axis_can_use(share, speeds):
+def test_the_limits_are_those_that_the_axis_can_use():
     params, a = default_params(), zeros(AdaptiveState)[0]
-    a["preview"]["share"] = share
     heights, t_ns = [0.0], 10**9
     for _ in range(400):
         t_ns += MS
         limit_setpoint(params, a, t_ns, 0.05, heights[0])
         heights.append(a["setpoint"]["position_m"])
     rate = np.diff(heights) * 1e3
-    limit = VELOCITY_RATIO * params["plant_v_max_mps"] if share == 0.0 else params["max_speed_mps"]
-    assert rate.max() <= limit * (1 + 1e-9)
-    assert rate.max() > 0.5 * VELOCITY_RATIO * params["plant_v_max_mps"] * speeds / 2
+    limit = VELOCITY_RATIO * params["plant_v_max_mps"]
+    assert 0.5 * limit < rate.max() <= limit * (1 + 1e-9)
     accel = np.diff(rate) * 1e3
-    most = ACCELERATION_RATIO * params["plant_a_max_mps2"] if share == 0.0 else params["max_accel_mps2"]
-    assert np.abs(accel).max() <= most * (1 + 1e-6)
+    assert np.abs(accel).max() <= ACCELERATION_RATIO * params["plant_a_max_mps2"] * (1 + 1e-6)
     assert heights[-1] == pytest.approx(0.05, abs=1e-6)

@@ -14,13 +14,12 @@ from surffollow.benchmark.trials import Job, excursion
 from surffollow.forecast.estimation.model_bank import (
     BANK,
     CURVE,
-    N_MODELS,
     SLOPE,
     WAVE,
 )
 from surffollow.forecast.estimation.model_weights import (
+    EFFORT_POWER,
     FULL_POWER_SAMPLES,
-    ROUGH_EFFORT_POWER,
     WEIGHT_TIME_CONSTANT_S,
     update_weights,
 )
@@ -33,7 +32,7 @@ from .feeding import default_params
 
 NOISE_M = 2.5e-4
 OLD, NEW = 0, 2
-CALM = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == 0.05))[0])
+CALM = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == 0.2))[0])
 AT_ONCE_S = 10.0
 
 
@@ -48,7 +47,7 @@ def weight_change(rms_m: float, dt_s: float, scored: int = FULL_POWER_SAMPLES) -
         scored,
         FULL_POWER_SAMPLES,
     )
-    a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = 1.2 * rms_m * rms_m
+    a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = 1.2 * rms_m * rms_m
     a["weights"]["recent_m2"][OLD] = rms_m * rms_m
     update_weights(default_params(), a, AT_ONCE_S)
     before = float(a["weights"]["weight"][NEW])
@@ -56,8 +55,8 @@ def weight_change(rms_m: float, dt_s: float, scored: int = FULL_POWER_SAMPLES) -
     there = a.copy()
     update_weights(default_params(), there, AT_ONCE_S)
     update_weights(default_params(), a, dt_s)
-    assert a["weights"]["weight"][:N_MODELS].sum() == pytest.approx(1.0, abs=1e-12)
-    assert (a["weights"]["weight"][:N_MODELS] >= 0.0).all()
+    assert a["weights"]["weight"].sum() == pytest.approx(1.0, abs=1e-12)
+    assert (a["weights"]["weight"] >= 0.0).all()
     return float((a["weights"]["weight"][NEW] - before) / (there["weights"]["weight"][NEW] - before))
 
 
@@ -77,7 +76,7 @@ def odds_of(kind: int, score_m2: float, scored: int) -> float:
         scored,
         FULL_POWER_SAMPLES,
     )
-    a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = score_m2
+    a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = score_m2
     update_weights(default_params(), a, AT_ONCE_S)
     i = int(np.flatnonzero(BANK[:, 0] == kind)[0])
     return float(a["weights"]["weight"][i] / a["weights"]["weight"][CALM])
@@ -100,7 +99,7 @@ def effort_odds(rms_m: float, scored: int) -> float:
         scored,
         FULL_POWER_SAMPLES,
     )
-    a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = rms_m * rms_m
+    a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = rms_m * rms_m
     still, jumpy = 2, 3  # both follow levels
     assert tuple(BANK[[still, jumpy], 0]) == (SLOPE, SLOPE)
     a["shadow"]["log_effort"][jumpy] = math.log(101.0)
@@ -120,16 +119,9 @@ def test_the_effort_is_the_mean_squared_acceleration_of_the_recorded_setpoints()
     assert a["shadow"]["effort"][OLD] == a["shadow"]["log_effort"][OLD] == 0.0
 
 
-def test_of_two_models_that_fit_rough_ground_alike_the_one_with_less_effort_has_the_weight():
-    assert effort_odds(20.0 * NOISE_M, FULL_POWER_SAMPLES) == pytest.approx(
-        101.0**ROUGH_EFFORT_POWER, rel=0.05
-    )
-    assert effort_odds(20.0 * NOISE_M, FULL_POWER_SAMPLES // 4) < 101.0**ROUGH_EFFORT_POWER
-
-
-def test_the_effort_penalty_is_greatest_during_burn_in():
-    assert effort_odds(NOISE_M, FULL_POWER_SAMPLES // 4) > 1e5
-    assert effort_odds(NOISE_M, FULL_POWER_SAMPLES // 4) > effort_odds(NOISE_M, 3 * FULL_POWER_SAMPLES // 4)
+def test_of_two_models_that_fit_alike_the_one_with_less_effort_has_the_weight():
+    for rms_m in (NOISE_M, 20.0 * NOISE_M):
+        assert effort_odds(rms_m, FULL_POWER_SAMPLES) == pytest.approx(101.0**EFFORT_POWER, rel=0.05)
 
 
 def fine_log_odds(scored: int) -> float:
@@ -142,7 +134,7 @@ def fine_log_odds(scored: int) -> float:
             scored,
             FULL_POWER_SAMPLES,
         )
-        a["weights"]["recent_m2"][:N_MODELS], a["weights"]["longer_m2"][:N_MODELS] = (
+        a["weights"]["recent_m2"], a["weights"]["longer_m2"] = (
             NOISE_M**2,
             1e6 * NOISE_M**2,
         )
@@ -166,9 +158,9 @@ def test_the_weights_of_a_sensor_without_any_noise_stay_finite():
     a = zeros(AdaptiveState)[0]
     a["weights"]["scored"], a["estimate"]["samples"] = FULL_POWER_SAMPLES, FULL_POWER_SAMPLES
     for score_m2 in (1e-8, 0.0):
-        a["weights"]["recent_m2"][:N_MODELS] = a["weights"]["longer_m2"][:N_MODELS] = score_m2
+        a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = score_m2
         update_weights(default_params(), a, 0.004)
-        assert np.isfinite(a["weights"]["weight"][:N_MODELS]).all()
+        assert np.isfinite(a["weights"]["weight"]).all()
 
 
 # in each of these runs two or three readings made the follower go up to 0.2 mm after them; in the slots at
@@ -216,4 +208,4 @@ def test_grooves_far_apart_are_followed():
     """4 mm deep, 40 mm wide, one every half metre; between them the ground is flat."""
     off_m = np.abs(WAY_M % 0.5 - 0.25)
     rms_m, _ = ran_over(-0.004 * np.maximum(0.0, 1.0 - off_m / 0.02), 0.1)
-    assert rms_m < 0.37e-3
+    assert rms_m < 0.38e-3

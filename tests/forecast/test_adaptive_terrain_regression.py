@@ -13,8 +13,8 @@ from surffollow import Follower
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.runner import run_method, scene_of, score_run
 from surffollow.benchmark.suite import Cell
-from surffollow.forecast.reset import begin_anew
 from surffollow.forecast.plant.axis_model import PERIOD_S
+from surffollow.forecast.reset import begin_anew
 from surffollow.forecast.terrain import terrain_regression as regression
 from surffollow.forecast.terrain.preview import extrapolate_ground
 from surffollow.forecast.terrain.terrain_buffer import buffered_height, store_ground

@@ -6,8 +6,8 @@ from typing import Any
 
 from surffollow.follower.kernel_time import SHIFT_NS
 from surffollow.follower.reading_stamps import Timestamps
-from surffollow.forecast.estimation.model_bank import N_MODELS
 from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES, reason_text
+from surffollow.shm.layout_adaptive_estimation import N_MODELS
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, POSE_STALE, STATUS_NAMES, VALID
 
 _OUTPUT = ("t_ns", "pose_t_ns", "cycle", "height_m", "slope", "speed_mps", "delta_h_m", "error_m")

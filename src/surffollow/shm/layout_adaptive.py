@@ -7,7 +7,7 @@ Only the stage that owns a record writes it, and `reset`.
 from __future__ import annotations
 
 from surffollow.shm.layout_adaptive_estimation import (
-    MAX_MODELS,
+    N_MODELS,
     N_PERIODS,
     Bank,
     Buffer,
@@ -82,7 +82,7 @@ class Adaptation(Schema):
 class Blend(Schema):
     """Blended setpoint and its filter (`setpoint_blend`)."""
 
-    model_m = F64(MAX_MODELS, unit="m", doc="newest setpoints of the models")
+    model_m = F64(N_MODELS, unit="m", doc="newest setpoints of the models")
     setpoint_m = F64(unit="m", doc="their blend")
     rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
     t_ns = I64(unit="ns", doc="when it was made")
@@ -99,7 +99,6 @@ class Setpoint(Schema):
     position_m = F64(unit="m", doc="setpoint of the tool: where the demand points")
     velocity_mps = F64(unit="m/s", doc="its rate")
     acceleration_mps2 = F64(unit="m/s^2", doc="and the rate of that")
-    preview_share = F64(doc="share of preview that raises the limits in force, 0 to 1")
     t_ns = I64(unit="ns", doc="when it was made; 0: begin at the tool")
     in_dryrun = I64(doc="1: made in DRYRUN, not applied")
     approaching = I64(doc="1: it began at the tool and has not arrived yet")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from surffollow.shm.schema import F64, I64, Schema
 
-MAX_MODELS = 32
+N_MODELS = 16  # of the bank
 N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
@@ -46,46 +46,46 @@ class Gate(Schema):
 class Bank(Schema):
     """Kalman filters of the ground (`model_bank`)."""
 
-    height_m = F64(MAX_MODELS, unit="m", doc="height h at the newest sample")
-    slope = F64(MAX_MODELS, unit="1", doc="slope θ")
-    curvature = F64(MAX_MODELS, unit="1/m", doc="curvature κ")
-    p00 = F64(MAX_MODELS, doc="covariance of h, θ and κ")
-    p01 = F64(MAX_MODELS)
-    p02 = F64(MAX_MODELS)
-    p11 = F64(MAX_MODELS)
-    p12 = F64(MAX_MODELS)
-    p22 = F64(MAX_MODELS)
-    wave_number = F64(MAX_MODELS, unit="1/m", doc="wave number ω of a wave")
-    f01 = F64(MAX_MODELS, doc="transition of h, θ and κ over a distance")
-    f02 = F64(MAX_MODELS)
-    f11 = F64(MAX_MODELS)
-    f12 = F64(MAX_MODELS)
-    f21 = F64(MAX_MODELS)
-    f22 = F64(MAX_MODELS)
-    rise_m = F64(MAX_MODELS, unit="m", doc="change of height up to the point ahead")
-    slope_ahead = F64(MAX_MODELS, doc="slope there")
-    bend_ahead = F64(MAX_MODELS, unit="1/m", doc="dθ/ds there")
+    height_m = F64(N_MODELS, unit="m", doc="height h at the newest sample")
+    slope = F64(N_MODELS, unit="1", doc="slope θ")
+    curvature = F64(N_MODELS, unit="1/m", doc="curvature κ")
+    p00 = F64(N_MODELS, doc="covariance of h, θ and κ")
+    p01 = F64(N_MODELS)
+    p02 = F64(N_MODELS)
+    p11 = F64(N_MODELS)
+    p12 = F64(N_MODELS)
+    p22 = F64(N_MODELS)
+    wave_number = F64(N_MODELS, unit="1/m", doc="wave number ω of a wave")
+    f01 = F64(N_MODELS, doc="transition of h, θ and κ over a distance")
+    f02 = F64(N_MODELS)
+    f11 = F64(N_MODELS)
+    f12 = F64(N_MODELS)
+    f21 = F64(N_MODELS)
+    f22 = F64(N_MODELS)
+    rise_m = F64(N_MODELS, unit="m", doc="change of height up to the point ahead")
+    slope_ahead = F64(N_MODELS, doc="slope there")
+    bend_ahead = F64(N_MODELS, unit="1/m", doc="dθ/ds there")
 
 
 class Shadow(Schema):
     """Shadow axes of the models (`shadow_axes`)."""
 
     t_ns = I64(unit="ns", doc="time up to which the axes are simulated")
-    setpoint_m = F64(MAX_MODELS * N_PERIODS, unit="m", doc="setpoints of all models, per period of a ring")
-    position_m = F64(MAX_MODELS, unit="m", doc="position of the axes")
-    velocity_mps = F64(MAX_MODELS, unit="m/s", doc="velocity")
-    effort = F64(MAX_MODELS, unit="m^2/s^4", doc="mean squared acceleration of the setpoints")
-    log_effort = F64(MAX_MODELS, doc="ln(1 + effort in units of 1 m²/s⁴)")
+    setpoint_m = F64(N_MODELS * N_PERIODS, unit="m", doc="setpoints of all models, per period of a ring")
+    position_m = F64(N_MODELS, unit="m", doc="position of the axes")
+    velocity_mps = F64(N_MODELS, unit="m/s", doc="velocity")
+    effort = F64(N_MODELS, unit="m^2/s^4", doc="mean squared acceleration of the setpoints")
+    log_effort = F64(N_MODELS, doc="ln(1 + effort in units of 1 m²/s⁴)")
 
 
 class Weights(Schema):
     """Performance index and weights of the models (`model_weights`)."""
 
     scored = I64(doc="samples that entered the index, up to FULL_POWER_SAMPLES")
-    recent_m2 = F64(MAX_MODELS, unit="m^2", doc="squared error of the shadow axis, recent horizon")
-    longer_m2 = F64(MAX_MODELS, unit="m^2", doc="the same over the longer horizon")
-    cost = F64(MAX_MODELS, doc="logarithm of the index with penalties, then its exponential")
-    weight = F64(MAX_MODELS, doc="weights, sum 1")
+    recent_m2 = F64(N_MODELS, unit="m^2", doc="squared error of the shadow axis, recent horizon")
+    longer_m2 = F64(N_MODELS, unit="m^2", doc="the same over the longer horizon")
+    cost = F64(N_MODELS, doc="logarithm of the index with penalties, then its exponential")
+    weight = F64(N_MODELS, doc="weights, sum 1")
     waiting_s = F64(unit="s", doc="time since the weights were updated")
 
 

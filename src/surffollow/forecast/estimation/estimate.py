@@ -3,7 +3,6 @@
 import math
 
 from surffollow.forecast.estimation.innovation_gate import (
-    FIRST_WRONG,
     HOLD,
     INITIALISATION_SAMPLES,
     INNER_GATE,
@@ -22,7 +21,6 @@ from surffollow.forecast.estimation.innovation_gate import (
     withhold_sample,
 )
 from surffollow.forecast.estimation.model_bank import (
-    N_MODELS,
     adapt_waves,
     propagate_bank,
     reset_bank,
@@ -51,7 +49,7 @@ from surffollow.forecast.sensing.latency_identification import reset_delay
 from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.forecast.terrain.terrain_regression import reset_mean, update_regression
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
 SETTLING_NS = 60_000_000  # after a start or a loss the performance index waits until setpoints have acted
 GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
@@ -220,9 +218,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     if decision in (HOLD, PENDING):
         withhold_sample(gate, innovation, steepest)
         return False
-    if decision in (FIRST_WRONG, OUTVOTED):
-        first_m = h_m if decision == FIRST_WRONG else gate.pending_height_m / gate.pending
-        restart_estimate(params, adaptive, t_ns, first_m, standoff_m, adapt)
+    if decision == OUTVOTED:
+        restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
         return True
     if decision == STEP:
         confirm_step(params, adaptive)

@@ -19,14 +19,12 @@ STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need n
 CONFIRMATION_TAUS = 0.5
 BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and two pending ones do not agree
-INITIAL_INNER_GATE = 0.125  # the same for the second sample: the first may have been the bad one
 INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
-AGREEMENT_SHARE = 0.25  # of the innovation: two samples that agree so well replace the first one
 MAX_RISE = 3.0  # of the travel: nearer pending samples go on by so much, on a flank of 72 degrees
 PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
 # decisions about a sample: inside the gate; beyond the inner gate; outside; a step is confirmed;
-# the sample before and this one agree against the first; more samples are pending than accepted
-ACCEPT, HOLD, PENDING, STEP, FIRST_WRONG, OUTVOTED = range(6)
+# more samples are pending than accepted
+ACCEPT, HOLD, PENDING, STEP, OUTVOTED = range(5)
 
 
 @jit
@@ -62,12 +60,8 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
     width = max(usual, plausible)
     # while no slope is known, samples of nearer ground count on their own
     sparse = (plausible if innovation_m > 0.0 else sparse_m) > usual
-    before = gate.unconfirmed_m
     if not sparse and needs_second_sample(adaptive, innovation_m, width):
         return HOLD, width
-    agree = abs(innovation_m - before) < AGREEMENT_SHARE * abs(innovation_m)
-    if samples == 1 and before != 0.0 and agree:
-        return FIRST_WRONG, width
     if not abs(innovation_m) > width:  # NaN too: the cycle then begins without knowledge
         return ACCEPT, width
     if not hold_pending(params, adaptive, innovation_m, travel_m, width, gap):
@@ -151,8 +145,7 @@ def needs_second_sample(adaptive, innovation_m, gate_m):
     gate = adaptive.gate
     before = gate.unconfirmed_m
     gate.unconfirmed_m = 0.0
-    inner = INNER_GATE if adaptive.estimate.samples > 1 else INITIAL_INNER_GATE
-    if not inner * gate_m < abs(innovation_m) <= gate_m or before * innovation_m > 0.0:
+    if not INNER_GATE * gate_m < abs(innovation_m) <= gate_m or before * innovation_m > 0.0:
         return False
     gate.unconfirmed_m = innovation_m
     if gate.pending > 0:  # it agrees with no outlier before

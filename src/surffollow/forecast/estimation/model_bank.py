@@ -13,53 +13,39 @@ direction again and again has the wrong one (a phase-locked loop).
 vectorised; kinds differ in their coefficients.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_estimation import MAX_MODELS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 SLOPE, CURVE, WAVE = 0, 1, 2
-_N_WAVES, _PER_OCTAVE, _LONGEST_WAVE_M = 11, 3, 0.6
-_STRAIGHT_M = 1e3  # slopes that do not decay
-BAND = 2.0 ** (0.5 / _PER_OCTAVE)  # a wave number stays within this factor: bands of neighbours touch
+STRAIGHT_M = 1e3  # slopes that do not decay
+BAND = math.sqrt(2.0)  # a wave number stays within this factor: waves are an octave apart
 LOOP_SHARE = 0.25  # of the gain of the phase, in that of the wave number: the loop is critically damped …
 MAX_LOOP_SHARE = 1.0 / math.pi  # … and changes ω by no more per correction of the phase by 1 rad
-
-
-def _models() -> Any:
-    """Rows of (kind, scale, noise of slope, curvature or a wave's amplitude, noise of height)."""
-    levels = [(SLOPE, _STRAIGHT_M, 0.0, qh) for qh in (3e-5, 3e-4, 2e-3, 2e-2)]
-    slopes = [(SLOPE, _STRAIGHT_M, qs, 1e-5) for qs in (0.01, 0.05, 0.5, 2.0)]
-    slopes += [(SLOPE, _STRAIGHT_M, qs, 3e-3) for qs in (0.15, 1.0)]
-    decaying = ((0.006, 8.0), (0.015, 4.0), (0.05, 1.0), (0.05, 3.0), (0.15, 0.5))
-    slopes += [(SLOPE, length_m, qs, 1e-3) for length_m, qs in decaying]
-    curves = [(CURVE, 0.3, qc, 1e-5) for qc in (3.0, 20.0, 150.0)]
-    lengths = [_LONGEST_WAVE_M * 2.0 ** (-k / _PER_OCTAVE) for k in range(_N_WAVES)]
-    waves = [(WAVE, 2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in lengths]
-    return np.array(levels + slopes + curves + waves)
-
-
-BANK = _models()
-N_MODELS = len(BANK)
-N_SLOPES = int(np.sum(BANK[:, 0] == SLOPE))
-WAVES = int(np.sum(BANK[:, 0] != WAVE))  # first of them; curves are between
-assert np.all(np.diff(BANK[:, 0]) >= 0)
-assert N_MODELS <= MAX_MODELS
+WAVE_VARIANCE_M2 = 1e-5  # of an amplitude at the start
+# rows of kind, scale, noise of slope, curvature or a wave's amplitude, noise of height
+BANK = np.array(
+    [(SLOPE, STRAIGHT_M, 0.0, qh) for qh in (3e-5, 2e-3)]
+    + [(SLOPE, STRAIGHT_M, qs, 1e-5) for qs in (0.02, 0.2, 2.0)]
+    + [(SLOPE, STRAIGHT_M, 0.4, 3e-3)]
+    + [(SLOPE, length_m, qs, 1e-3) for length_m, qs in ((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))]
+    + [(CURVE, 0.3, qc, 1e-5) for qc in (3.0, 20.0, 150.0)]
+    + [(WAVE, 2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in (0.48, 0.24, 0.12, 0.06)]
+)
+assert len(BANK) == N_MODELS
 KIND = BANK[:, 0].astype(np.int64)
+N_SLOPES, WAVES = np.searchsorted(KIND, (CURVE, WAVE)).tolist()  # curves are between
 SCALE = BANK[:, 1].copy()  # length of decay [m]; of a wave the middle of its band [1/m]
 DECAY = np.where(KIND == SLOPE, 1.0 / SCALE, 0.0)  # 1/λ [1/m]
 # spectral densities over arc length; the noise of a wave's amplitude is one of its slope
 HEIGHT_NOISE_DENSITY = BANK[:, 3] ** 2
 SLOPE_NOISE_DENSITY = np.choose(KIND, (1.0, 0.0, 2.0 * SCALE**2)) * BANK[:, 2] ** 2
 CURVATURE_NOISE_DENSITY = np.where(KIND == CURVE, BANK[:, 2] ** 2, 0.0)
-_WAVE_VARIANCE_M2 = 1e-5  # of an amplitude at the start
-INITIAL_SLOPE_VARIANCE = np.choose(KIND, (0.01 * (BANK[:, 2] > 0.0), 0.01, SCALE**2 * _WAVE_VARIANCE_M2))
-INITIAL_CURVATURE_VARIANCE = np.choose(KIND, (0.0, 1.0, SCALE**4 * _WAVE_VARIANCE_M2))
+INITIAL_SLOPE_VARIANCE = np.choose(KIND, (0.01 * (BANK[:, 2] > 0.0), 0.01, SCALE**2 * WAVE_VARIANCE_M2))
+INITIAL_CURVATURE_VARIANCE = np.choose(KIND, (0.0, 1.0, SCALE**4 * WAVE_VARIANCE_M2))
 
 
 @jit
@@ -200,12 +186,6 @@ def extrapolate_bank(bank, d):
         bank.slope_ahead[i] = slope_ahead
         fades = sign * DECAY[i] * slope_ahead
         bank.bend_ahead[i] = sign * bank.f21[i] * slope + bank.f22[i] * curvature - fades
-
-
-@jit
-def extrapolation_variance(i, bank, d):
-    """Variance of the height d [m] ahead by model i, its slope kept [m²]."""
-    return max(bank.p00[i] + 2.0 * d * bank.p01[i] + d * d * bank.p11[i], 0.0)
 
 
 @jit

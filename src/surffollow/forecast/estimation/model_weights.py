@@ -11,26 +11,20 @@ import numpy as np
 
 from surffollow.forecast.estimation.model_bank import (
     KIND,
-    N_MODELS,
     SCALE,
     WAVES,
-    extrapolation_variance,
 )
-from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
-VARIANCE_PENALTY = 3.0  # power of the models' own variance after an initialisation
 WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
 WEIGHT_INTERVAL_S = 0.005  # quicker sensors do not update the weights with each sample
 MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
-BURN_IN_SAMPLES, FULL_POWER_SAMPLES = 200, 500  # of the variance penalty; samples for the index' full power
-MIN_BURN_IN_SHARE = 0.03  # of these samples: errors far beyond the noise are significant after a few
+FULL_POWER_SAMPLES = 500  # for the full power of the index
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[KIND]
-# power of the effort: on rough ground the smoother of two equal models is better, and during
-# burn-in a model that follows the noise may fit by chance
-ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
+EFFORT_POWER = 0.8  # the smoother of two equal models is better
 # phase of a wave between two samples: from π on it is an alias of a longer one
 MAX_WAVE_PHASE, EXCLUDED = 2.0 * math.pi / 3.0, 1e300
 INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
@@ -82,7 +76,7 @@ def compute_costs(params, adaptive):
 
     Notes
     -----
-        c_i = p_J ln(J_i − σ_J² + ε²) + p_L ln(L_i − σ_L² + ε²) + p_E ln(1 + E_i/E_0) + C_i + V_i
+        c_i = p_J ln(J_i − σ_J² + ε²) + p_L ln(L_i − σ_L² + ε²) + p_E ln(1 + E_i/E_0) + C_i
 
     S is the noise share of the least J_i, α the progress of the scoring. The other symbols are those of
     docs/explanation/following.md.
@@ -95,24 +89,14 @@ def compute_costs(params, adaptive):
     s = noise_fraction(least_j, noise_m)
     alpha, p_l = weights.scored / FULL_POWER_SAMPLES, params.long_power
     p_j = p_l + (params.score_power - p_l) * (s * s * alpha * alpha)
-    p_e = ROUGH_EFFORT_POWER * ((1.0 - s) * (1.0 - s)) + BURN_IN_EFFORT_POWER * s * s * (1.0 - alpha)
     noise_j = params.noise_share * min(noise_m * noise_m, least_j)
     noise_l = params.noise_share * min(noise_m * noise_m, least_l)
     floor = params.score_floor_m * params.score_floor_m
-    # after an initialisation the models' own variance decides; fine differences need many scored samples
-    n_b = BURN_IN_SAMPLES * max(s * s, MIN_BURN_IN_SHARE)
-    variance_share = 1.0 - min(adaptive.estimate.samples, weights.scored) / n_b
-    if adaptive.sample.lead_m > MIN_LEAD_M:
-        variance_share = 0.0  # the buffered heights are followed, not the models
-    ahead_m = adaptive.kinematics.speed_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
     spacing_m = adaptive.kinematics.speed_mps * adaptive.prediction.interval_s
     for i in range(N_MODELS):
         c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
-        c += p_e * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
-        if variance_share > 0.0:
-            variance_m2 = extrapolation_variance(i, adaptive.bank, ahead_m) + noise_m * noise_m
-            c += VARIANCE_PENALTY * variance_share * math.log(variance_m2)
+        c += EFFORT_POWER * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
         is_alias = i >= WAVES and SCALE[i] * spacing_m > MAX_WAVE_PHASE
         weights.cost[i] = EXCLUDED if is_alias else c
 

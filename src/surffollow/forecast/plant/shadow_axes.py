@@ -2,11 +2,10 @@
 
 import math
 
-from surffollow.forecast.estimation.model_bank import N_MODELS
 from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, PERIOD_S, step_axis
 from surffollow.forecast.plant.controller_clock import oldest_period, period_at
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_estimation import MAX_MODELS, N_PERIODS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, N_PERIODS
 
 MAX_AXIS_STEPS = 32  # bounds the work per sample
 MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
@@ -63,7 +62,7 @@ def propagate_shadows(params, adaptive, t_ns):
     if span > MAX_AXIS_GAP_NS:
         slot = period_at(controller, k, t_ns) & (N_PERIODS - 1)
         for i in range(N_MODELS):
-            shadow.position_m[i] = shadow.setpoint_m[slot * MAX_MODELS + i]
+            shadow.position_m[i] = shadow.setpoint_m[slot * N_MODELS + i]
             shadow.velocity_mps[i] = 0.0
         return True
     steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
@@ -71,7 +70,7 @@ def propagate_shadows(params, adaptive, t_ns):
     tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
     for j in range(steps):
         k = period_at(controller, k, from_ns + (span * j) // steps)
-        first = (k & (N_PERIODS - 1)) * MAX_MODELS
+        first = (k & (N_PERIODS - 1)) * N_MODELS
         for i in range(N_MODELS):
             target = shadow.setpoint_m[first + i]
             shadow.position_m[i], shadow.velocity_mps[i] = step_axis(
@@ -85,8 +84,8 @@ def update_effort(adaptive):
     """Update the effort with the setpoints of the period that has just been recorded."""
     shadow, controller = adaptive.shadow, adaptive.controller
     n = controller.periods
-    now, one = MAX_MODELS * (n & (N_PERIODS - 1)), MAX_MODELS * ((n - 1) & (N_PERIODS - 1))
-    two = MAX_MODELS * ((n - 2) & (N_PERIODS - 1))
+    now, one = N_MODELS * (n & (N_PERIODS - 1)), N_MODELS * ((n - 1) & (N_PERIODS - 1))
+    two = N_MODELS * ((n - 2) & (N_PERIODS - 1))
     if n > 1:
         for i in range(N_MODELS):
             accel = PERIOD_RATE_HZ2 * (
@@ -100,7 +99,7 @@ def update_effort(adaptive):
 def record_setpoints(adaptive):
     """Record the newest setpoints of all models for the period that begins, and update the effort."""
     shadow = adaptive.shadow
-    first = (adaptive.controller.periods & (N_PERIODS - 1)) * MAX_MODELS
+    first = (adaptive.controller.periods & (N_PERIODS - 1)) * N_MODELS
     for i in range(N_MODELS):
         shadow.setpoint_m[first + i] = adaptive.blend.model_m[i]
     update_effort(adaptive)

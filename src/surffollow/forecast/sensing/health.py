@@ -2,7 +2,6 @@
 
 from surffollow.forecast.attitude.beam_detection import REPEAT_BAND
 from surffollow.forecast.attitude.rotation_response import has_failed
-from surffollow.forecast.estimation.model_weights import BURN_IN_SAMPLES
 from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
@@ -34,6 +33,7 @@ from surffollow.shm.layout_adaptive import (
 )
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
+BURN_IN_SAMPLES = 200
 ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out …

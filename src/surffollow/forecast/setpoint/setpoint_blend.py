@@ -4,7 +4,6 @@ import math
 
 from surffollow.forecast.estimation.innovation_gate import INITIALISATION_SAMPLES, is_slow, withheld_setpoint
 from surffollow.forecast.estimation.model_bank import (
-    N_MODELS,
     WAVES,
     extrapolate_bank,
 )
@@ -16,6 +15,7 @@ from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, PAUS
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
 UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer is taken back in a drop-out

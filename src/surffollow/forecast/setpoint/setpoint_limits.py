@@ -16,15 +16,14 @@ PAUSE_INTERVALS = 3.0  # … or after so many intervals of a slow caller
 MAX_INTERVAL_S = 1.5  # longest interval that is taken as usual
 INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this; later ones double it at most
 INTERVAL_RATE = 0.2  # of the usual interval, per call
+FIRST_STEP_S = 0.001  # length assumed for the first cycle
 MIN_INTERVAL_RATE = 0.002  # at which the shortest interval fades
 MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small
-FIRST_STEP_S = 0.001  # length assumed for the first cycle
 MAX_STEP_S = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
 VELOCITY_RATIO, ACCELERATION_RATIO = 2.0, 20.0  # to the limits of the axis: quicker setpoints add effort only
 CONFIRMED_SAMPLES = 25  # of an estimate: with fewer there is no arrival, and after a drop-out no descent
 ARRIVED_M = 1e-5  # a setpoint that reaches its target in a cycle is on it but for rounding
 SLOT_GROUP_LENGTHS = 12.0  # of `step_travel`: length of slots and of their groups behind a fall of the ground
-SETTLED_M, SETTLED_MPS = 1e-3, 0.02  # distance and rate within which a setpoint is back from a plan
 BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
 
 
@@ -84,13 +83,9 @@ def next_acceleration(e_m, v_mps, a_mps2, dt_s, next_s, v_max, a_max, jerk):
     low = min(max(a_mps2 - change, -a_max), a_mps2 + change)
     high = max(min(a_mps2 + change, a_max), a_mps2 - change)
     speed = e_m / dt_s
-    land, brake = (speed - v_mps) / dt_s, -speed / next_s
-    if (
-        low <= land <= high
-        and speed <= v_max
-        and abs(brake) <= min(a_max, jerk * next_s)
-        and abs(brake - land) <= jerk * next_s
-    ):
+    land, brake, next_change = (speed - v_mps) / dt_s, speed / next_s, jerk * next_s
+    stops = brake <= min(a_max, next_change) and brake + land <= next_change
+    if low <= land <= high and speed <= v_max and stops:
         return land
     if can_stop(e_m, v_mps, high, dt_s, v_max, a_max, jerk):
         return high
@@ -125,26 +120,6 @@ def update_interval(setpoint, dt_s):
 
 
 @jit
-def limit_in_force(permitted, usable, share):
-    """Limit in force: what the axis can use, up to the permitted limit with preview.
-
-    Setpoints of a plan are far ahead of the axis, so that it responds sooner.
-    """
-    return permitted + (1.0 - share) * (min(permitted, usable) - permitted)
-
-
-@jit
-def has_settled(params, setpoint, e_m):
-    """Whether a setpoint that a plan led is back at its target: until then its limits stay raised."""
-    limit_mps2 = params.toward_factor * ACCELERATION_RATIO * params.plant_a_max_mps2
-    return (
-        abs(e_m) < SETTLED_M
-        and abs(setpoint.velocity_mps) < SETTLED_MPS
-        and abs(setpoint.acceleration_mps2) <= limit_mps2
-    )
-
-
-@jit
 def may_be_slot(params, gate):
     """Whether the tool is just behind a confirmed fall of the ground."""
     return gate.step_m < 0.0 and gate.travel_since_step_m < SLOT_GROUP_LENGTHS * params.step_travel_m
@@ -160,10 +135,8 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     target_m : float64  target of the setpoint [m]
     dt_s : float64      the time [s]
     """
-    setpoint, preview = adaptive.setpoint, adaptive.preview
+    setpoint = adaptive.setpoint
     e = target_m - setpoint.position_m
-    if preview.share > setpoint.preview_share or has_settled(params, setpoint, e):
-        setpoint.preview_share = preview.share
     direction = 1.0 if e >= 0.0 else -1.0
     gentle = e < 0.0 and (setpoint.approaching != 0 or may_be_slot(params, adaptive.gate))
     factor = params.toward_factor if gentle else 1.0
@@ -173,14 +146,8 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
         direction * setpoint.acceleration_mps2,
         dt_s,
         dt_s if setpoint.min_interval_s == 0.0 else min(dt_s, max(setpoint.min_interval_s, MIN_INTERVAL_S)),
-        factor
-        * limit_in_force(
-            params.max_speed_mps, VELOCITY_RATIO * params.plant_v_max_mps, setpoint.preview_share
-        ),
-        factor
-        * limit_in_force(
-            params.max_accel_mps2, ACCELERATION_RATIO * params.plant_a_max_mps2, setpoint.preview_share
-        ),
+        factor * min(params.max_speed_mps, VELOCITY_RATIO * params.plant_v_max_mps),
+        factor * min(params.max_accel_mps2, ACCELERATION_RATIO * params.plant_a_max_mps2),
         params.max_jerk_mps3,
     )
     setpoint.acceleration_mps2 = accel
@@ -213,7 +180,6 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     setpoint.t_ns = now_ns
     if pause:
         setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
-        setpoint.preview_share = 0.0
         setpoint.approaching = 1
         dt = FIRST_STEP_S
     if dt <= PAUSE_S:
