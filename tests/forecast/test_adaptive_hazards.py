@@ -21,7 +21,7 @@ from surffollow.benchmark.hazard_scenarios import (
     draw,
 )
 from surffollow.benchmark.hazards import PLoop, play, shortfall_m
-from surffollow.forecast.attitude.beam_detection import BENT_GATE, is_bent
+from surffollow.forecast.attitude.beam_detection import is_bent
 from surffollow.forecast.terrain.known_ground import (
     CONTRADICTION_SAMPLES,
     DROP_LENGTH_M,
@@ -378,7 +378,7 @@ def test_bent_beams_are_those_that_no_plane_fits(seed):
     design = np.column_stack([np.ones(n), x, y])[accepted]
     plane = np.linalg.lstsq(design, h[accepted], rcond=None)[0]
     left = float(np.linalg.norm(h[accepted] - design @ plane))
-    assert is_bent(a, n, gate) == int(left > BENT_GATE * gate)
+    assert is_bent(a, n, gate) == int(left > gate)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -95,7 +95,5 @@ def reset_timestamps(adaptive):
     lookahead.seen_ns = 0
     lookahead.lead_m = 0.0
     lookahead.range_ns[:] = 0
-    beams.first_ns = 0
     beams.t_ns[:] = 0
-    beams.changed_ns[:] = 0
-    adaptive.plane.t_ns = 0
+    adaptive.plane.t_ns = adaptive.plane.first_ns = 0

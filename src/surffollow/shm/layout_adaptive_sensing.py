@@ -144,18 +144,13 @@ class Beams(Schema):
     range_m = F64(BEAMS, unit="m", doc="range of that")
     repeat_range_m = F64(BEAMS, unit="m", doc="first range of a run of like ones")
     repeat_ns = I64(BEAMS, unit="ns", doc="when that run began; 0: none yet")
-    mean_m = F64(BEAMS, unit="m", doc="running mean of the range")
-    run_range_m = F64(BEAMS, unit="m", doc="that at the begin of the run of constant ranges")
-    changed_ns = I64(BEAMS, unit="ns", doc="when that run began")
     accepted = I64(BEAMS, doc="1: in the plane fit")
-    deviation = F64(BEAMS, doc="height above the median, in gates")
     outside_count = I64(BEAMS, doc="samples outside the gate minus those inside since")
     weight = F64(BEAMS, doc="weight in the plane fit")
     height_m = F64(BEAMS, unit="m", doc="height under the tool by each beam")
     sorted_m = F64(BEAMS, unit="m", doc="scratch: those, sorted")
     axis_x_m = F64(unit="m", doc="where the tool's axis meets the ground")
     axis_y_m = F64(unit="m")
-    first_ns = I64(unit="ns", doc="timestamp of the first sample; 0: none yet")
     reference = I64(doc="channel whose samples are the follower's samples")
     inconsistent = I64(doc="1: the beams have no majority; the nearer ground counts")
 
@@ -165,6 +160,7 @@ class Plane(Schema):
 
     count = I64(doc="planes fitted so far")
     t_ns = I64(unit="ns", doc="time of the slopes; 0: none yet")
+    first_ns = I64(unit="ns", doc="timestamp of the first sample; 0: none yet")
     rank = I64(doc="slopes updated by the newest sample: 2 both, 1 along a line, 0 none")
     slope_x = F64(unit="1", doc="slopes of the plane")
     slope_y = F64(unit="1")
@@ -172,29 +168,23 @@ class Plane(Schema):
     slope_rate_y_hz = F64(unit="1/s")
     fitted_x = F64(unit="1", doc="slopes of the newest plane of rank 2, unfiltered")
     fitted_y = F64(unit="1")
-    spread_m2 = F64(unit="m^2", doc="spread of the footprints in it")
+    spread_m2 = F64(unit="m^2", doc="spread of its footprints, where it is less")
     curvature = F64(unit="1/m", doc="mean curvature under the tool, positive in a hollow")
-    track = F64(9, doc="sums over one beam's footprints: weight, means x y z, products xx xy yy xz yz")
+    track_m = F64(3, unit="m", doc="mean of one beam's footprints lately: x, y, z")
     track_beam = I64(doc="that beam")
-    track_x_m = F64(unit="m", doc="its newest footprint")
-    track_y_m = F64(unit="m")
 
 
-ROTATION_RUN, ROTATION_HOLD, ROTATION_PROBE, ROTATION_FAILED = range(4)
+ROTATION_RUN, ROTATION_TEST, ROTATION_FAILED = range(3)
 
 
 class Rotation(Schema):
     """Response of the beams to the tool's own rotation (`rotation_response`)."""
 
-    phase = I64(doc="constant deviation, tested by holding, by a probe; ROTATION_FAILED: no response")
+    phase = I64(doc="constant deviation, tested by turning back; ROTATION_FAILED: no response")
     t_ns = I64(unit="ns", doc="timestamp of the newest plane; 0: none")
     mean = F64(2, unit="1", doc="running mean of the plane's slopes in the tool's frame")
-    run_mean = F64(2, unit="1", doc="that at the begin of the run of constant slopes")
-    run_samples = I64(doc="samples since then")
+    run_mean = F64(2, unit="1", doc="that over the run of constant slopes")
     run_ns = I64(unit="ns", doc="when the run began")
     run_axis = F64(3, unit="1", doc="the tool's axis then, world frame")
-    rate_radps = F64(unit="rad/s", doc="rotation before the test")
-    test_axis = F64(3, unit="1", doc="the tool's axis when the phase of the test began")
-    test_ns = I64(unit="ns", doc="when that was")
-    probe_rad = F64(unit="rad", doc="rotation of the probe")
-    probe_samples = I64(doc="samples since the tool has turned by half of it")
+    test_axis = F64(3, unit="1", doc="direction to which the test turns the tool back")
+    samples = I64(doc="samples of the run; of the test, since the tool is half the way back")
