@@ -1,6 +1,7 @@
 """Resets of the whole follower: the records that each of them clears, also those of other owners."""
 
 from surffollow.forecast.attitude.attitude import release_attitude
+from surffollow.forecast.attitude.plane_fit import reset_plane
 from surffollow.forecast.attitude.rotation_response import reset_rotation
 from surffollow.forecast.estimation.estimate import discard_estimate
 from surffollow.forecast.estimation.noise import discard_noise
@@ -34,6 +35,7 @@ def reset_all(params, adaptive):
     sample.spacing_m = sample.lead_m = 0.0
     sample.tip_x_m = sample.tip_y_m = sample.heading_x = sample.heading_y = 0.0
     reset_response(adaptive.response)
+    reset_plane(adaptive.plane)
     reset_rotation(adaptive.rotation)
     discard_correction(adaptive.latency)
     lookahead.lead_m = lookahead.bias_m = lookahead.trusted_from_m = 0.0

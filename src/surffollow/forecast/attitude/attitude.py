@@ -6,8 +6,7 @@ A single reading therefore cannot make the demanded rotation jump.
 
 import math
 
-from surffollow.forecast.attitude.plane_fit import reset_plane
-from surffollow.forecast.attitude.rotation_response import reset_rotation, tested_direction
+from surffollow.forecast.attitude.rotation_response import tested_direction
 from surffollow.forecast.plant.controller_clock import mean_wait_s
 from surffollow.forecast.pose import rotate, rotation_between
 from surffollow.forecast.sensing.clock import MAX_GAP_NS
@@ -97,8 +96,6 @@ def demand_rotation(params, adaptive, sense, output):
     wx, wy, wz, angle = rotation_between(tx, ty, tz, u[0], u[1], u[2])
     if not math.isfinite(wx + wy + wz):
         release_attitude(attitude)
-        reset_plane(adaptive.plane)
-        reset_rotation(adaptive.rotation)
         return
     factor = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
     output.demand[3], output.demand[4], output.demand[5] = wx * factor, wy * factor, wz * factor

@@ -18,31 +18,22 @@ WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 
 
 @jit
-def has_deviated(beams, c):
-    """Whether a beam was outside the gate lately, and has not been inside as often since."""
-    return beams.outside_count[c] > 0
-
-
-@jit
 def choose_reference(params, beams, sense):
     """Choose the reference channel, whose samples are the follower's; -1: none.
 
-    The present one stays while it delivers samples and is inside the gate.
+    The present one stays while it delivers samples and is accepted.
     """
-    newest = 0
-    for c in range(params.n_channels):
-        newest = max(newest, beams.t_ns[c])
-    best, lowest = -1, 3
+    newest = beams.t_ns.max()
+    if newest == 0:
+        return -1
+    best, lowest = beams.reference, 3
     for k in range(params.n_channels):
         c = (beams.reference + k) % params.n_channels
-        if beams.t_ns[c] == 0:
-            continue
         silent = sense.valid[c] == 0 or newest - beams.t_ns[c] > MAX_AGE_NS
-        rank = 2 if silent else (1 if has_deviated(beams, c) else 0)
+        rank = 2 if silent else 1 - beams.accepted[c]
         if rank < lowest:
             best, lowest = c, rank
-    if best >= 0:
-        beams.reference = best
+    beams.reference = best
     return best
 
 
@@ -172,7 +163,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
             beams.outside_count[c] = min(max(count, 0), 2 * params.step_samples)
             unconfirmed = deviates and count <= params.step_samples
             stuck = repeating == 1 and n >= 2 and is_repeating(adaptive, c)
-            rejected = stuck or unconfirmed or (majority and has_deviated(beams, c))
+            rejected = stuck or unconfirmed or (majority and count > 0)
         beams.accepted[c] = 0 if rejected else 1
         beams.weight[c] = 0.0 if rejected else (min(beams.weight[c] + WEIGHT_RECOVERY, 1.0) if begun else 1.0)
         good += beams.accepted[c]

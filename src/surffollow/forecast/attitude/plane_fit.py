@@ -7,13 +7,7 @@ beam, the track that the reference beam draws on the ground updates the slope al
 import math
 
 from surffollow.forecast.attitude.beam_detection import isolate_faults
-from surffollow.forecast.attitude.plane_regression import (
-    MIN_CONDITION,
-    MIN_SPREAD_M,
-    fit_plane,
-    flat_height,
-    half_squared_distance,
-)
+from surffollow.forecast.attitude.plane_regression import MIN_SPREAD_M, curvature_error, fit_plane
 from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.shm.jit import jit
 
@@ -101,7 +95,9 @@ def update_plane(params, adaptive, dt):
     share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
     if plane.rank == 2:
         plane.fitted_x, plane.fitted_y, plane.spread_m2 = plane.slope_x + ex, plane.slope_y + ey, spread_m2
-        update_curvature(params, adaptive, dt, mx, my, mh)
+        plane.curvature += min(CURVATURE_RATE_HZ * dt, 0.5) * curvature_error(
+            beams, plane, params.n_channels, mx, my, mh
+        )
         plane.slope_rate_x_hz += 0.25 * share * share * ex / dt if dt > 0.0 else 0.0
         plane.slope_rate_y_hz += 0.25 * share * share * ey / dt if dt > 0.0 else 0.0
     else:
@@ -137,33 +133,6 @@ def follow_track(adaptive, dt):
         rise = beams.footprint_m[3 * c + 2] - track[2]
         factor = share * (rise - plane.slope_x * dx - plane.slope_y * dy) / squared
         shift_slopes(plane, factor * dx, factor * dy)
-
-
-@jit
-def update_curvature(params, adaptive, dt, mx, my, mh):
-    """Update the mean curvature with the residuals of the plane: normalised least mean squares.
-
-    Three beams have no residuals, and a ring without a beam in the middle has one distance from the axis.
-
-    Parameters
-    ----------
-    params, adaptive : records of `Params`, `AdaptiveState` (`plane` updated)
-    dt : float64          time since the plane before [s]
-    mx, my, mh : float64  mean of the footprints [m]
-    """
-    beams, plane = adaptive.beams, adaptive.plane
-    total, mean_q, square_q, covariance = 0.0, 0.0, 0.0, 0.0
-    for c in range(params.n_channels):
-        w, q = beams.weight[c], half_squared_distance(beams, c)
-        dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
-        left = flat_height(beams, plane.curvature, c) - mh - plane.fitted_x * dx - plane.fitted_y * dy
-        total += w
-        mean_q += w * q
-        square_q += w * q * q
-        covariance += w * q * left
-    spread = square_q - mean_q * mean_q / total
-    if spread > MIN_CONDITION * square_q:
-        plane.curvature += min(CURVATURE_RATE_HZ * dt, 0.5) * covariance / spread
 
 
 @jit

@@ -28,7 +28,7 @@ def fit_plane(beams, weights, n_channels, curvature):
     Parameters
     ----------
     beams : record of `Beams`
-    weights : (8,) array  0: the beam does not count
+    weights : (8,) array  0 to 1; 0: the beam does not count
     n_channels : int      channels in use
     curvature : float64   of the ground [1/m], by which the heights are corrected
 
@@ -38,12 +38,11 @@ def fit_plane(beams, weights, n_channels, curvature):
     x, y, h : float64           their weighted mean [m]
     ux, uy : float64            unit vector of their line
     along, across : float64     slopes along (ux, uy) and (-uy, ux)
-    spread_m2, error_m2 : float64  spread across the line; squared residuals (weights of 1 on average)
+    spread_m2, error_m2 : float64  spread across the line; sum of the squared residuals
     """
-    n, total, mx, my, mh = 0, 0.0, 0.0, 0.0, 0.0
+    total, mx, my, mh = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w = weights[c]
-        n += 1 if w > 0 else 0
         total += w
         mx += w * beams.footprint_m[3 * c]
         my += w * beams.footprint_m[3 * c + 1]
@@ -51,7 +50,7 @@ def fit_plane(beams, weights, n_channels, curvature):
     mx, my, mh = mx / total, my / total, mh / total
     xx, xy, yy, xh, yh, hh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
-        w = weights[c] * n / total
+        w = weights[c]
         dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
         dh = flat_height(beams, curvature, c) - mh
         xx, xy, yy = xx + w * dx * dx, xy + w * dx * dy, yy + w * dy * dy
@@ -66,3 +65,26 @@ def fit_plane(beams, weights, n_channels, curvature):
         rank = 2
     error = hh - major * along * along - minor * across * across
     return rank, mx, my, mh, ux, uy, along, across, minor, error
+
+
+@jit
+def curvature_error(beams, plane, n_channels, mx, my, mh):
+    """Error of the mean curvature by the residuals of the plane (normalised least mean squares) [1/m].
+
+    Three beams have no residuals. A ring without a beam in the middle has one distance from the axis.
+
+    Parameters
+    ----------
+    beams, plane : records of `Beams`, `Plane`
+    n_channels : int      channels in use
+    mx, my, mh : float64  mean of the footprints [m]
+    """
+    total, mean_q, square_q, covariance = 0.0, 0.0, 0.0, 0.0
+    for c in range(n_channels):
+        w, q = beams.weight[c], half_squared_distance(beams, c)
+        dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
+        left = flat_height(beams, plane.curvature, c) - mh - plane.fitted_x * dx - plane.fitted_y * dy
+        total, mean_q = total + w, mean_q + w * q
+        square_q, covariance = square_q + w * q * q, covariance + w * q * left
+    spread = square_q - mean_q * mean_q / total
+    return covariance / spread if spread > MIN_CONDITION * square_q else 0.0

@@ -56,14 +56,6 @@ def _begin_run(rotation, t_ns, axis):
 
 
 @jit
-def _begin_test(rotation, axis, share):
-    """Begin to turn the tool back by a share of the rotation of the run."""
-    rotation.phase, rotation.samples = ROTATION_TEST, 0
-    for i in range(3):
-        rotation.test_axis[i] = axis[i] + share * (rotation.run_axis[i] - axis[i])
-
-
-@jit
 def reset_rotation(rotation):
     """Begin anew with the next plane."""
     rotation.t_ns, rotation.phase = 0, ROTATION_RUN
@@ -117,7 +109,9 @@ def observe_rotation(params, adaptive, t_ns, pose):
         wrong = is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
         far = turn > FAR_TURN * params.max_tilt_rad
         if rotation.samples * share > MIN_MEANS and turn > probe and (wrong or far):
-            _begin_test(rotation, axis, probe / turn)
+            rotation.phase, rotation.samples = ROTATION_TEST, 0
+            for i in range(3):
+                rotation.test_axis[i] = axis[i] + probe / turn * (rotation.run_axis[i] - axis[i])
     elif rotation.phase == ROTATION_TEST and turn < 0.5 * probe:
         rotation.samples += 1
         if rotation.samples * share > MIN_MEANS:
