@@ -47,7 +47,7 @@ def limit_attitude(params, attitude, nx, ny, nz, dt):
     Parameters
     ----------
     params, attitude : records of `Params`, `Attitude` (updated)
-    nx, ny, nz : float64  unit vector of the direction, world frame
+    nx, ny, nz : float64  vector of the direction, world frame
     dt : float64          time since the setpoint before [s], > 0
     """
     u, w = attitude.axis, attitude.angular_velocity_radps

@@ -6,9 +6,10 @@ turned), unless three others agree on a plane. A beam that alone repeats its ran
 """
 
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height
-from surffollow.forecast.pose import footprint, rotate
+from surffollow.forecast.pose import footprint
 from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.kinematics import predict_pose
+from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
 
 MAX_AGE_NS = MAX_GAP_NS // 2  # older footprints do not belong to the same plane; no reference is as old
@@ -67,10 +68,7 @@ def observe_beams(params, adaptive, sense, pose):
         if changed or beams.t_ns[c] == 0 or t_ns < beams.repeat_ns[c]:
             beams.repeat_range_m[c], beams.repeat_ns[c] = range_m, t_ns
         beams.range_m[c], beams.t_ns[c] = range_m, t_ns
-        # where the axis meets the ground at the wanted stand-off: accurate enough for the curvature
-        dx, dy, _ = rotate(
-            pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, params.tool_from_sensor[2] - params.offset_m
-        )
+        dx, dy, _ = axis_ground_point(params, pose, 0)  # accurate enough for the curvature
         beams.axis_x_m, beams.axis_y_m = pose[0] + dx, pose[1] + dy
     return choose_reference(params, beams, sense)
 

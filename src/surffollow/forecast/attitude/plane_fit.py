@@ -95,11 +95,11 @@ def update_plane(params, adaptive, dt):
     share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
     if plane.rank == 2:
         plane.fitted_x, plane.fitted_y, plane.spread_m2 = plane.slope_x + ex, plane.slope_y + ey, spread_m2
-        plane.curvature += min(CURVATURE_RATE_HZ * dt, 0.5) * curvature_error(
-            beams, plane, params.n_channels, mx, my, mh
-        )
-        plane.slope_rate_x_hz += 0.25 * share * share * ex / dt if dt > 0.0 else 0.0
-        plane.slope_rate_y_hz += 0.25 * share * share * ey / dt if dt > 0.0 else 0.0
+        error = curvature_error(beams, plane, params.n_channels, mx, my, mh)
+        plane.curvature += min(CURVATURE_RATE_HZ * dt, 0.5) * error
+        rate_gain_hz = 0.25 * share * share / dt if dt > 0.0 else 0.0
+        plane.slope_rate_x_hz += rate_gain_hz * ex
+        plane.slope_rate_y_hz += rate_gain_hz * ey
     else:
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = 0.0
     if plane.rank > 0:
@@ -120,11 +120,9 @@ def follow_track(adaptive, dt):
     track = plane.track_m
     if beams.accepted[c] == 0:
         return
-    share = 1.0 - math.exp(-adaptive.kinematics.speed_mps * dt / TRACK_LENGTH_M)
-    if plane.track_beam != c or dt == 0.0:
-        plane.track_beam = c
-        for i in range(3):
-            track[i] = beams.footprint_m[3 * c + i]
+    begins = plane.track_beam != c or dt == 0.0
+    plane.track_beam = c
+    share = 1.0 if begins else 1.0 - math.exp(-adaptive.kinematics.speed_mps * dt / TRACK_LENGTH_M)
     for i in range(3):
         track[i] += share * (beams.footprint_m[3 * c + i] - track[i])
     dx, dy = beams.footprint_m[3 * c] - track[0], beams.footprint_m[3 * c + 1] - track[1]

@@ -135,10 +135,8 @@ def tested_direction(rotation, nx, ny, nz):
 
     Returns
     -------
-    3 × float64
+    3 × float64  of a length of about 1
     """
     if rotation.phase == ROTATION_RUN:
         return nx, ny, nz
-    x, y, z = rotation.test_axis[0], rotation.test_axis[1], rotation.test_axis[2]
-    length = math.sqrt(x * x + y * y + z * z)
-    return x / length, y / length, z / length
+    return rotation.test_axis[0], rotation.test_axis[1], rotation.test_axis[2]
