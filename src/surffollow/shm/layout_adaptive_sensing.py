@@ -144,6 +144,7 @@ class Beams(Schema):
     range_m = F64(BEAMS, unit="m", doc="range of that")
     repeat_range_m = F64(BEAMS, unit="m", doc="first range of a run of like ones")
     repeat_ns = I64(BEAMS, unit="ns", doc="when that run began; 0: none yet")
+    deviation = F64(BEAMS, doc="height above the median, in gates")
     accepted = I64(BEAMS, doc="1: in the plane fit")
     outside_count = I64(BEAMS, doc="samples outside the gate minus those inside since")
     weight = F64(BEAMS, doc="weight in the plane fit")

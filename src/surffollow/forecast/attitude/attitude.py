@@ -83,7 +83,8 @@ def demand_rotation(params, adaptive, sense, output):
         release_attitude(attitude)  # afterwards it begins at the tool
         return
     elapsed_s = (now_ns - attitude.t_ns) * 1e-9
-    if attitude.t_ns == 0 or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint):
+    finite = math.isfinite(u[0] + u[1] + u[2])
+    if attitude.t_ns == 0 or not finite or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint):
         u[0], u[1], u[2], elapsed_s = tx, ty, tz, 0.0
         attitude.angular_velocity_radps[:] = 0.0
     if elapsed_s > 0.0:
@@ -94,9 +95,6 @@ def demand_rotation(params, adaptive, sense, output):
         limit_attitude(params, attitude, nx, ny, nz, elapsed_s)
     attitude.t_ns = now_ns
     wx, wy, wz, angle = rotation_between(tx, ty, tz, u[0], u[1], u[2])
-    if not math.isfinite(wx + wy + wz):
-        release_attitude(attitude)
-        return
     factor = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
     output.demand[3], output.demand[4], output.demand[5] = wx * factor, wy * factor, wz * factor
 

@@ -156,7 +156,11 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         if beams.inconsistent != 0:
             rejected = beams.height_m[c] < nearest - gate
         else:
-            deviates = abs(beams.height_m[c] - median) > gate and begun
+            deviation = (beams.height_m[c] - median) / gate
+            # ground that rises under one beam leaves the gate gradually, a fault at once
+            rises = beams.deviation[c] > 0.5 and beams.outside_count[c] == 0 and deviation > 0.0
+            deviates = abs(deviation) > 1.0 and begun and not rises
+            beams.deviation[c] = deviation
             count = beams.outside_count[c] + (1 if deviates else -1)
             beams.outside_count[c] = min(max(count, 0), 2 * params.step_samples)
             unconfirmed = deviates and count <= params.step_samples

@@ -52,11 +52,8 @@ def propagate_slopes(adaptive, t_ns):
     """Propagate the slopes to a sample by their rates; time since the last one [s], 0 after a longer gap."""
     plane = adaptive.plane
     dt = (t_ns - plane.t_ns) * 1e-9
-    late = dt > MAX_GAP_NS * 1e-9 + 2.0 * adaptive.prediction.interval_s  # slow rings have no gap
     plane.t_ns = t_ns
-    if late:
-        plane.count = min(plane.count, 1)  # the next planes have a higher gain
-    if late or dt <= 0.0:
+    if not 0.0 < dt <= MAX_GAP_NS * 1e-9 + 2.0 * adaptive.prediction.interval_s:  # slow rings have no gap
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = dt = 0.0
     shift_slopes(plane, plane.slope_rate_x_hz * dt, plane.slope_rate_y_hz * dt)
     return dt
