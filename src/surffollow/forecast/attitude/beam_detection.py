@@ -15,6 +15,7 @@ from surffollow.shm.jit import jit
 MAX_AGE_NS = MAX_GAP_NS // 2  # older footprints do not belong to the same plane; no reference is as old
 STUCK_SAMPLES = 12.0  # a stuck beam repeats its range for so many usual intervals longer than a drop-out
 REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance
+CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
 WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 
 
@@ -162,8 +163,8 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
             deviates = abs(deviation) > 1.0 and begun and not rises
             beams.deviation[c] = deviation
             count = beams.outside_count[c] + (1 if deviates else -1)
-            beams.outside_count[c] = min(max(count, 0), 2 * params.step_samples)
-            unconfirmed = deviates and count <= params.step_samples
+            beams.outside_count[c] = min(max(count, 0), 2 * CONFIRMATION_SAMPLES)
+            unconfirmed = deviates and count <= CONFIRMATION_SAMPLES
             stuck = repeating == 1 and n >= 2 and is_repeating(adaptive, c)
             rejected = stuck or unconfirmed or (majority and count > 0)
         beams.accepted[c] = 0 if rejected else 1
