@@ -2,7 +2,8 @@
 
 Each beam gives a height under the tool by way of the known slopes. A beam that deviates from the median of
 these heights by more than the gate is excluded. After some samples it is accepted again (the ground has
-turned), unless three others agree on a plane. A beam that alone repeats its range is stuck.
+turned), unless three others agree on a plane. A beam that alone repeats its range is stuck. Without a
+majority the beams that see the nearest ground count.
 """
 
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height
@@ -140,9 +141,8 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     median = 0.5 * (beams.sorted_m[(n - 1) // 2] + beams.sorted_m[n // 2])
     gate = max(params.gate_scales * adaptive.noise.sigma_m, 2.0 * params.gate_m)
     agree = 0
-    for c in range(params.n_channels):
-        if beams.accepted[c] != 0 and abs(beams.height_m[c] - median) <= gate:
-            agree += 1
+    for k in range(n):
+        agree += 1 if abs(beams.sorted_m[k] - median) <= gate else 0
     majority = agree >= 3 and adaptive.plane.rank == 2
     nearest = beams.sorted_m[max(n, 1) - 1]
     apart = 2 * agree <= n and is_bent(adaptive, params.n_channels, gate)
@@ -159,7 +159,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         else:
             deviation = (beams.height_m[c] - median) / gate
             # ground that rises under one beam leaves the gate gradually, a fault at once
-            rises = beams.deviation[c] > 0.5 and beams.outside_count[c] == 0 and deviation > 0.0
+            rises = deviation > 0.0 and beams.deviation[c] > 0.5 and beams.outside_count[c] == 0
             deviates = abs(deviation) > 1.0 and begun and not rises
             beams.deviation[c] = deviation
             count = beams.outside_count[c] + (1 if deviates else -1)
@@ -168,7 +168,8 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
             stuck = repeating == 1 and n >= 2 and is_repeating(adaptive, c)
             rejected = stuck or unconfirmed or (majority and count > 0)
         beams.accepted[c] = 0 if rejected else 1
-        beams.weight[c] = 0.0 if rejected else (min(beams.weight[c] + WEIGHT_RECOVERY, 1.0) if begun else 1.0)
+        recovered = min(beams.weight[c] + WEIGHT_RECOVERY, 1.0) if begun else 1.0
+        beams.weight[c] = 0.0 if rejected else recovered
         good += beams.accepted[c]
     return good
 

@@ -4,7 +4,7 @@ import math
 
 from surffollow.shm.jit import jit
 
-MIN_CONDITION = 1e-2  # least share of a spread that a fit explains by noise no more
+MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their line
 MIN_SPREAD_M = 5e-3  # least spread of the footprints that gives a slope
 
 
@@ -71,7 +71,8 @@ def fit_plane(beams, weights, n_channels, curvature):
 def curvature_error(beams, plane, n_channels, mx, my, mh):
     """Error of the mean curvature by the residuals of the plane (normalised least mean squares) [1/m].
 
-    Three beams have no residuals. A ring without a beam in the middle has one distance from the axis.
+    Three beams have no residuals. A ring without a beam in the middle has a single
+    distance from the axis, and gives no curvature.
 
     Parameters
     ----------
