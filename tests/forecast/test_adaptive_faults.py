@@ -344,3 +344,21 @@ def test_a_tool_that_turns_back_in_a_loss_goes_no_deeper(slope, forward_s):
         v_mps += min(max(wish - v_mps, -2e-3), 2e-3)
         z_m += 1e-3 * v_mps
         assert z_m > turn_z_m - 4e-3 or not back, f"{ms - 3000} ms after the loss"
+
+
+@pytest.mark.parametrize(
+    ("record", "name"),
+    [("plane", "slope_x"), ("plane", "curvature"), ("beams", "weight"), ("attitude", "axis")],
+)
+def test_an_attitude_that_is_not_finite_is_reset_and_following_continues(record, name):
+    ring = [{"position_m": [0.03 * math.cos(k), 0.03 * math.sin(k), 0.0]} for k in (0.0, 2.1, 4.2)]
+    b = Bench(sensors=ring)
+    for k in range(600):
+        if k == 300:
+            b.f._state["adaptive"][record][name][...] = np.nan
+        b.t_ns += 4 * MS
+        b.f.pose(b.t_ns, (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        slope = 0.1 * np.array([s["position_m"][0] for s in ring])
+        demand = b.f.step(b.t_ns, 0.1 - slope + 2e-5 * b.rng.standard_normal(3))
+    assert "VALID" in b.f.state()["status"]
+    assert float(demand[4]) == pytest.approx(-math.atan(0.1), abs=3e-3)

@@ -21,7 +21,7 @@ from surffollow.benchmark.hazard_scenarios import (
     draw,
 )
 from surffollow.benchmark.hazards import PLoop, play, shortfall_m
-from surffollow.forecast.attitude.beam_detection import BENT_GATE, is_bent
+from surffollow.forecast.attitude.beam_detection import is_bent
 from surffollow.forecast.terrain.known_ground import (
     CONTRADICTION_SAMPLES,
     DROP_LENGTH_M,
@@ -373,12 +373,12 @@ def test_bent_beams_are_those_that_no_plane_fits(seed):
     accepted = np.ones(n, bool)
     accepted[4:] = rng.random(n - 4) < 0.7
     for c in range(n):
-        a["beams"]["footprint_m"][3 * c : 3 * c + 2] = x[c], y[c]
-        a["beams"]["height_m"][c], a["beams"]["accepted"][c] = h[c], accepted[c]
+        a["beams"]["footprint_m"][3 * c : 3 * c + 3] = x[c], y[c], h[c]
+        a["beams"]["accepted"][c] = accepted[c]
     design = np.column_stack([np.ones(n), x, y])[accepted]
     plane = np.linalg.lstsq(design, h[accepted], rcond=None)[0]
     left = float(np.linalg.norm(h[accepted] - design @ plane))
-    assert is_bent(a, n, gate) == int(left > BENT_GATE * gate)
+    assert is_bent(a, n, gate) == int(left > gate)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -70,7 +70,7 @@ def test_first_plane_is_the_least_squares_plane_of_the_footprints():
         a = zeros(AdaptiveState)[0]
         params["n_channels"] = n
         a["beams"]["footprint_m"][: 3 * n] = np.column_stack([xy, z]).ravel()
-        a["beams"]["t_ns"][:n] = a["beams"]["changed_ns"][:n] = T0
+        a["beams"]["t_ns"][:n] = T0
         good, h = plane_height(params, a, T0, 0.1, -0.2)
         design = np.column_stack([np.ones(n), xy])
         (h0, sx, sy), *_ = np.linalg.lstsq(design, z, rcond=None)

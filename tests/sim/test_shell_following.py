@@ -84,6 +84,15 @@ def test_sensors_that_drop_out_one_by_one_and_come_back_make_no_jump_on_a_shell(
     assert np.degrees(trace["angle_rad"][settled]).max() < 1.0
 
 
+def test_a_single_sensor_that_is_left_gives_the_slope_by_its_track() -> None:
+    """GIVEN four sensors WHEN three drop out for good THEN the normal follows (6 degrees without)."""
+    loop = follow(5.5, 4, tuple(FaultConfig("dropout", 1.8, 9.0, channel=c) for c in (0, 1, 3)))
+    summary = loop.core.summary()
+    assert set(loop.column("beams")[2500:].tolist()) == {0b0100}
+    assert math.degrees(summary["angle_rms_rad"]) < 2.2
+    assert summary["standoff_rms_m"] < 0.7e-3
+
+
 def test_good_sensors_are_seldom_held_where_a_dome_steepens() -> None:
     """GIVEN a long descent WHEN the setpoint is shifted to test the range THEN most runs answer in time.
 

@@ -6,15 +6,20 @@ A single reading therefore cannot make the demanded rotation jump.
 
 import math
 
-from surffollow.forecast.attitude.plane_fit import reset_plane
-from surffollow.forecast.attitude.rotation_response import reset_rotation, tested_direction
+from surffollow.forecast.attitude.rotation_response import tested_direction
 from surffollow.forecast.plant.controller_clock import mean_wait_s
 from surffollow.forecast.pose import rotate, rotation_between
+from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.setpoint.setpoint_limits import restart_pause_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, POSES, RUN_FREEZE
 
-MAX_PREDICTION_S = 0.2  # slopes are extrapolated by their rates no farther
+
+@jit
+def normal_of(slope_x, slope_y):
+    """Unit normal of a plane with these slopes."""
+    length = math.sqrt(slope_x * slope_x + slope_y * slope_y + 1.0)
+    return -slope_x / length, -slope_y / length, 1.0 / length
 
 
 @jit
@@ -24,14 +29,12 @@ def predicted_normal(params, adaptive):
     It is at most `max_tilt_rad` from the world's z axis: a wrong beam tilts the plane without a bound.
     """
     plane = adaptive.plane
-    lead_s = mean_wait_s(params, adaptive.controller) + adaptive.plant.tau_s
-    ahead = min(max((adaptive.clock.now_ns - plane.t_ns) * 1e-9 + lead_s, 0.0), MAX_PREDICTION_S)
+    age_ns = min(max(adaptive.clock.now_ns - plane.t_ns, 0), MAX_GAP_NS)
+    ahead = age_ns * 1e-9 + mean_wait_s(params, adaptive.controller) + adaptive.plant.tau_s
     sx, sy = plane.slope_x + plane.slope_rate_x_hz * ahead, plane.slope_y + plane.slope_rate_y_hz * ahead
-    slope, steepest = math.sqrt(sx * sx + sy * sy), math.tan(params.max_tilt_rad)
-    if slope > steepest:
-        sx, sy = sx * steepest / slope, sy * steepest / slope
-    length = math.sqrt(sx * sx + sy * sy + 1.0)
-    return -sx / length, -sy / length, 1.0 / length
+    slope, steepest = math.hypot(sx, sy), math.tan(params.max_tilt_rad)
+    factor = steepest / slope if slope > steepest else 1.0
+    return normal_of(factor * sx, factor * sy)
 
 
 @jit
@@ -44,7 +47,7 @@ def limit_attitude(params, attitude, nx, ny, nz, dt):
     Parameters
     ----------
     params, attitude : records of `Params`, `Attitude` (updated)
-    nx, ny, nz : float64  unit vector of the direction, world frame
+    nx, ny, nz : float64  vector of the direction, world frame
     dt : float64          time since the setpoint before [s], > 0
     """
     u, w = attitude.axis, attitude.angular_velocity_radps
@@ -73,51 +76,37 @@ def demand_rotation(params, adaptive, sense, output):
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
     output : record of `Output`  receives `demand[3:6]` [rad]
     """
-    clock, attitude = adaptive.clock, adaptive.attitude
-    q = 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
-    p = sense.pose
+    now_ns, attitude = adaptive.clock.now_ns, adaptive.attitude
+    u, p, q = attitude.axis, sense.pose, 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
     tx, ty, tz = rotate(p[q], p[q + 1], p[q + 2], p[q + 3], 0.0, 0.0, 1.0)
     if params.run == RUN_FREEZE:
-        attitude.t_ns = 0  # afterwards it begins at the tool
+        release_attitude(attitude)  # afterwards it begins at the tool
         return
-    elapsed = clock.now_ns - attitude.t_ns
-    if attitude.t_ns == 0 or elapsed < 0 or elapsed * 1e-9 > restart_pause_s(adaptive.setpoint):
-        attitude.axis[0], attitude.axis[1], attitude.axis[2] = tx, ty, tz
-        for k in range(3):
-            attitude.angular_velocity_radps[k] = 0.0
-        elapsed = 0
-    if elapsed > 0:
+    elapsed_s = (now_ns - attitude.t_ns) * 1e-9
+    finite = math.isfinite(u[0] + u[1] + u[2])
+    if attitude.t_ns == 0 or not finite or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint):
+        u[0], u[1], u[2], elapsed_s = tx, ty, tz, 0.0
+        attitude.angular_velocity_radps[:] = 0.0
+    if elapsed_s > 0.0:
         nx, ny, nz = predicted_normal(params, adaptive)
         nx, ny, nz = tested_direction(adaptive.rotation, nx, ny, nz)
         if adaptive.beams.inconsistent != 0:  # the plane may be of the wrong ones
-            nx, ny, nz = attitude.axis[0], attitude.axis[1], attitude.axis[2]
-        limit_attitude(params, attitude, nx, ny, nz, elapsed * 1e-9)
-    attitude.t_ns = clock.now_ns
-    u = attitude.axis
+            nx, ny, nz = u[0], u[1], u[2]
+        limit_attitude(params, attitude, nx, ny, nz, elapsed_s)
+    attitude.t_ns = now_ns
     wx, wy, wz, angle = rotation_between(tx, ty, tz, u[0], u[1], u[2])
-    if not math.isfinite(wx + wy + wz):
-        attitude.t_ns = 0
-        reset_plane(adaptive.plane)
-        reset_rotation(adaptive.rotation)
-        return
     factor = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
     output.demand[3], output.demand[4], output.demand[5] = wx * factor, wy * factor, wz * factor
 
 
 @jit
 def publish_normal(adaptive, output):
-    """Publish the normal; it is vertical while no plane is known."""
-    plane = adaptive.plane
-    length = math.sqrt(plane.slope_x * plane.slope_x + plane.slope_y * plane.slope_y + 1.0)
-    output.normal[0], output.normal[1], output.normal[2] = (
-        -plane.slope_x / length,
-        -plane.slope_y / length,
-        1.0 / length,
-    )
-    beams = 0
+    """Publish the normal and the accepted beams; the normal is vertical while no plane is known."""
+    nx, ny, nz = normal_of(adaptive.plane.slope_x, adaptive.plane.slope_y)
+    output.normal[0], output.normal[1], output.normal[2] = nx, ny, nz
+    output.beams = 0
     for c in range(CHANNELS):
-        beams |= (1 if adaptive.beams.accepted[c] != 0 else 0) << c
-    output.beams = beams
+        output.beams |= adaptive.beams.accepted[c] << c
 
 
 @jit

@@ -2,10 +2,9 @@
 
 Beams that repeat their ranges give a plane that turns with the tool: the deviation of its normal from the
 tool's axis stays, and the tool turns on and on. A tool that follows curved ground with a lag has a constant
-deviation, too. A rotation with a constant deviation that no lag explains is therefore tested: the tool stops
-turning (`ROTATION_HOLD`), and the deviation must change by the rotation that does not take place. If it does
-not, the ground may have become plane: the tool turns on by a little (`ROTATION_PROBE`), and the deviation
-must shrink by that. If it does not, the tool does not turn (`ROTATION_FAILED`) until the deviation changes.
+deviation, too. A rotation with a constant deviation that no lag explains is therefore tested: the tool turns
+back by a little (`ROTATION_TEST`), and the deviation must grow by that, whether the ground goes on to curve
+or not. If it does not, the tool does not turn (`ROTATION_FAILED`) until the deviation changes.
 """
 
 import math
@@ -21,17 +20,10 @@ from surffollow.forecast.sensing.response import (
     RUN_SAMPLES,
     TEST_BAND_FACTOR,
     is_suspicious,
-    stop_s,
 )
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import (
-    ROTATION_FAILED,
-    ROTATION_HOLD,
-    ROTATION_PROBE,
-    ROTATION_RUN,
-)
+from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 
-MEAN_SAMPLES = 16.0  # in the mean deviation, or those of a time constant of the slope filter
 BAND_SIGMAS = 4.0  # of the mean: the deviation has changed
 FAR_TURN = 0.3  # of `max_tilt_rad`: beyond, a constant deviation is always tested
 
@@ -58,16 +50,9 @@ def mean_range(beams, n_channels, t_ns, range_m):
 @jit
 def _begin_run(rotation, t_ns, axis):
     """Begin a run of constant deviations at the present mean."""
-    rotation.phase, rotation.run_ns, rotation.run_samples = ROTATION_RUN, t_ns, 0
+    rotation.phase, rotation.run_ns, rotation.samples = ROTATION_RUN, t_ns, 0
     rotation.run_mean[0], rotation.run_mean[1] = rotation.mean[0], rotation.mean[1]
     rotation.run_axis[0], rotation.run_axis[1], rotation.run_axis[2] = axis
-
-
-@jit
-def _begin_phase(rotation, phase, t_ns, axis):
-    """Begin a phase of the test at the tool's axis."""
-    rotation.phase, rotation.test_ns = phase, t_ns
-    rotation.test_axis[0], rotation.test_axis[1], rotation.test_axis[2] = axis
 
 
 @jit
@@ -86,9 +71,11 @@ def observe_rotation(params, adaptive, t_ns, pose):
     t_ns : int64         timestamp of the sample
     pose : (7,) float64  pose at that time
     """
-    rotation, plane, tau_s = adaptive.rotation, adaptive.plane, adaptive.plant.tau_s
-    if plane.rank != 2 or plane.count == 0 or adaptive.beams.inconsistent != 0:
-        if t_ns - rotation.t_ns > MAX_GAP_NS:
+    rotation, plane = adaptive.rotation, adaptive.plane
+    dt = (t_ns - rotation.t_ns) * 1e-9
+    begins = rotation.t_ns == 0 or not 0.0 < dt <= MAX_GAP_NS * 1e-9
+    if plane.rank != 2:
+        if begins:
             reset_rotation(rotation)  # too few beams to see a response: what is left is followed as ever
         return
     axis = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
@@ -97,41 +84,38 @@ def observe_rotation(params, adaptive, t_ns, pose):
         return
     dx, dy = -nx / nz, -ny / nz  # slopes of the plane in the tool's frame
     mean, run = rotation.mean, rotation.run_mean
-    dt = (t_ns - rotation.t_ns) * 1e-9
-    if rotation.t_ns == 0 or not 0.0 < dt <= MAX_GAP_NS * 1e-9:
-        mean[0], mean[1], dt = dx, dy, MAX_GAP_NS * 1e-9
-        _begin_run(rotation, t_ns, axis)
     rotation.t_ns = t_ns
-    number = min(max(1.0 / (SLOPE_BANDWIDTH_RADPS * dt), 2.0), MEAN_SAMPLES)
-    mean[0], mean[1] = mean[0] + (dx - mean[0]) / number, mean[1] + (dy - mean[1]) / number
-    rotation.run_samples += 1
-    if number < rotation.run_samples < RUN_SAMPLES:  # its own mean is the better known one
-        share = 1.0 / rotation.run_samples
-        run[0], run[1] = run[0] + share * (mean[0] - run[0]), run[1] + share * (mean[1] - run[1])
-    band = BAND_SIGMAS * max(adaptive.noise.sigma_m, MIN_NOISE_M) / math.sqrt(2.0 * number * plane.spread_m2)
+    if begins:
+        mean[0], mean[1] = dx, dy
+        _begin_run(rotation, t_ns, axis)
+        return
+    share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
+    mean[0], mean[1] = mean[0] + share * (dx - mean[0]), mean[1] + share * (dy - mean[1])
+    band = BAND_SIGMAS * max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(share / plane.spread_m2)
     factor = 1.0 if rotation.phase == ROTATION_RUN else TEST_BAND_FACTOR
     if math.hypot(mean[0] - run[0], mean[1] - run[1]) > factor * band:
         _begin_run(rotation, t_ns, axis)
         return
     u = rotation.run_axis if rotation.phase == ROTATION_RUN else rotation.test_axis
     _, _, _, turn = rotation_between(u[0], u[1], u[2], axis[0], axis[1], axis[2])
+    probe = MOTION_BANDS * band
     if rotation.phase == ROTATION_RUN:
+        rotation.samples += 1
+        if rotation.samples < RUN_SAMPLES:  # the mean of the run is the better known one
+            part = 1.0 / rotation.samples
+            run[0], run[1] = run[0] + part * (mean[0] - run[0]), run[1] + part * (mean[1] - run[1])
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
         deviation = math.hypot(run[0], run[1])
-        wrong = is_suspicious(deviation, turn, rate, band, tau_s, params.max_tilt_rad)
+        wrong = is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
         far = turn > FAR_TURN * params.max_tilt_rad
-        if rotation.run_samples > MIN_MEANS * number and turn > MOTION_BANDS * band and (wrong or far):
-            rotation.rate_radps = rate
-            _begin_phase(rotation, ROTATION_HOLD, t_ns, axis)
-    elif rotation.phase == ROTATION_HOLD:
-        missing = rotation.rate_radps * ((t_ns - rotation.test_ns) * 1e-9 - stop_s(adaptive))
-        if missing > MOTION_BANDS * band:
-            rotation.probe_rad, rotation.probe_samples = MOTION_BANDS * band, 0
-            _begin_phase(rotation, ROTATION_PROBE, t_ns, axis)
-    elif rotation.phase == ROTATION_PROBE and turn > 0.5 * rotation.probe_rad:
-        rotation.probe_samples += 1
-        if rotation.probe_samples > MIN_MEANS * number:
-            _begin_phase(rotation, ROTATION_FAILED, t_ns, axis)
+        if rotation.samples * share > MIN_MEANS and turn > probe and (wrong or far):
+            rotation.phase, rotation.samples = ROTATION_TEST, 0
+            for i in range(3):
+                rotation.test_axis[i] = axis[i] + probe / turn * (rotation.run_axis[i] - axis[i])
+    elif rotation.phase == ROTATION_TEST and turn < 0.5 * probe:
+        rotation.samples += 1
+        if rotation.samples * share > MIN_MEANS:
+            rotation.phase = ROTATION_FAILED
 
 
 @jit
@@ -142,7 +126,7 @@ def has_failed(rotation):
 
 @jit
 def tested_direction(rotation, nx, ny, nz):
-    """Direction for the tool's axis: the normal, or as near to it as a test in progress permits.
+    """Direction for the tool's axis: the normal, or that of the test.
 
     Parameters
     ----------
@@ -151,15 +135,8 @@ def tested_direction(rotation, nx, ny, nz):
 
     Returns
     -------
-    3 × float64
+    3 × float64  of a length of about 1
     """
     if rotation.phase == ROTATION_RUN:
         return nx, ny, nz
-    u = rotation.test_axis
-    share = 0.0
-    if rotation.phase == ROTATION_PROBE:
-        _, _, _, angle = rotation_between(u[0], u[1], u[2], nx, ny, nz)
-        share = rotation.probe_rad / max(angle, rotation.probe_rad)
-    x, y, z = u[0] + share * (nx - u[0]), u[1] + share * (ny - u[1]), u[2] + share * (nz - u[2])
-    length = math.sqrt(x * x + y * y + z * z)
-    return x / length, y / length, z / length
+    return rotation.test_axis[0], rotation.test_axis[1], rotation.test_axis[2]

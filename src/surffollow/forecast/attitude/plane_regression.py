@@ -1,0 +1,91 @@
+"""Regression of a plane on the footprints of several beams."""
+
+import math
+
+from surffollow.shm.jit import jit
+
+MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their line
+MIN_SPREAD_M = 5e-3  # least spread of the footprints that gives a slope
+
+
+@jit
+def half_squared_distance(beams, c):
+    """Half the squared distance of a beam's footprint from the tool's axis [m²]."""
+    dx, dy = beams.footprint_m[3 * c] - beams.axis_x_m, beams.footprint_m[3 * c + 1] - beams.axis_y_m
+    return 0.5 * (dx * dx + dy * dy)
+
+
+@jit
+def flat_height(beams, curvature, c):
+    """Height of a beam's footprint, corrected for the curvature [m]."""
+    return beams.footprint_m[3 * c + 2] - curvature * half_squared_distance(beams, c)
+
+
+@jit
+def fit_plane(beams, weights, n_channels, curvature):
+    """Weighted least squares of a plane, along the principal axes of the footprints.
+
+    Parameters
+    ----------
+    beams : record of `Beams`
+    weights : (8,) array  0 to 1; 0: the beam does not count
+    n_channels : int      channels in use
+    curvature : float64   of the ground [1/m], by which the heights are corrected
+
+    Returns
+    -------
+    rank : int                  slopes that the footprints give: 2 both, 1 along their line, 0 none
+    x, y, h : float64           their weighted mean [m]
+    ux, uy : float64            unit vector of their line
+    along, across : float64     slopes along (ux, uy) and (-uy, ux)
+    spread_m2, error_m2 : float64  spread across the line; sum of the squared residuals
+    """
+    total, mx, my, mh = 0.0, 0.0, 0.0, 0.0
+    for c in range(n_channels):
+        w = weights[c]
+        total += w
+        mx += w * beams.footprint_m[3 * c]
+        my += w * beams.footprint_m[3 * c + 1]
+        mh += w * flat_height(beams, curvature, c)
+    mx, my, mh = mx / total, my / total, mh / total
+    xx, xy, yy, xh, yh, hh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for c in range(n_channels):
+        w = weights[c]
+        dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
+        dh = flat_height(beams, curvature, c) - mh
+        xx, xy, yy = xx + w * dx * dx, xy + w * dx * dy, yy + w * dy * dy
+        xh, yh, hh = xh + w * dx * dh, yh + w * dy * dh, hh + w * dh * dh
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    ux, uy = math.cos(angle), math.sin(angle)
+    major = xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy
+    minor = xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux
+    along, across = (xh * ux + yh * uy) / major, (yh * ux - xh * uy) / minor
+    rank = 1 if major > MIN_SPREAD_M * MIN_SPREAD_M else 0
+    if minor > max(MIN_SPREAD_M * MIN_SPREAD_M, MIN_CONDITION * (major + minor)):
+        rank = 2
+    error = hh - major * along * along - minor * across * across
+    return rank, mx, my, mh, ux, uy, along, across, minor, error
+
+
+@jit
+def curvature_error(beams, plane, n_channels, mx, my, mh):
+    """Error of the mean curvature by the residuals of the plane (normalised least mean squares) [1/m].
+
+    Three beams have no residuals. A ring without a beam in the middle has a single
+    distance from the axis, and gives no curvature.
+
+    Parameters
+    ----------
+    beams, plane : records of `Beams`, `Plane`
+    n_channels : int      channels in use
+    mx, my, mh : float64  mean of the footprints [m]
+    """
+    total, mean_q, square_q, covariance = 0.0, 0.0, 0.0, 0.0
+    for c in range(n_channels):
+        w, q = beams.weight[c], half_squared_distance(beams, c)
+        dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
+        left = flat_height(beams, plane.curvature, c) - mh - plane.fitted_x * dx - plane.fitted_y * dy
+        total, mean_q = total + w, mean_q + w * q
+        square_q, covariance = square_q + w * q * q, covariance + w * q * left
+    spread = square_q - mean_q * mean_q / total
+    return covariance / spread if spread > MIN_CONDITION * square_q else 0.0
