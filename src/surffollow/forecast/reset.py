@@ -12,16 +12,14 @@ from surffollow.forecast.sensing.sample_hold import reset_hold
 from surffollow.forecast.setpoint.setpoint_limits import release_setpoint
 from surffollow.forecast.terrain.known_ground import reset_known_ground
 from surffollow.forecast.terrain.preview import withdraw_preview
-from surffollow.forecast.terrain.terrain_regression import reset_distance, reset_mean
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import FAULT_CLOCK, FAULT_NOT_FINITE
-from surffollow.shm.layout_adaptive_estimation import N_DISTANCES
 
 
 @jit
 def reset_all(params, adaptive):
     """Begin without knowledge: the demand or the estimate is not finite."""
-    estimate, gate, sample, lookahead = adaptive.estimate, adaptive.gate, adaptive.sample, adaptive.lookahead
+    estimate, gate, sample = adaptive.estimate, adaptive.gate, adaptive.sample
     blend, preview, plan = adaptive.blend, adaptive.preview, adaptive.plan
     latch_fault(adaptive.health, FAULT_NOT_FINITE)
     discard_estimate(estimate)
@@ -36,15 +34,13 @@ def reset_all(params, adaptive):
     reset_response(adaptive.response)
     reset_rotation(adaptive.rotation)
     discard_correction(adaptive.latency)
-    lookahead.lead_m = lookahead.bias_m = lookahead.trusted_from_m = 0.0
+    adaptive.lookahead.lead_m = 0.0
     reset_known_ground(adaptive.known)
-    reset_mean(adaptive.regression, 0.0)
-    for j in range(N_DISTANCES):
-        reset_distance(adaptive.regression, j)
+    adaptive.known.bias_m = adaptive.known.trusted_from_m = 0.0
     reset_time_constant(params, adaptive.plant)
     blend.filtered_m = blend.setpoint_m = blend.rate_mps = 0.0
     withdraw_preview(preview)
-    preview.map_bias_m = preview.map_deviation_m = 0.0
+    preview.predicted_from_m = preview.error_m2 = preview.mean_m = preview.offset_m2 = 0.0
     plan.setpoint_m = 0.0
     plan.acceleration_m[:] = 0.0
     plan.multiplier_m[:] = 0.0
