@@ -15,6 +15,7 @@ REGISTRATION_M = 2.0 * CELL_M  # error of the place of a known height
 DROP_LENGTH_M = 2.0 * MIN_LEAD_M  # over which a drop is taken, and for which a map is not used after an error
 MAX_UNCONFIRMED_DESCENT_M = 2.0 * DISAGREEMENT_M  # of a plan below the setpoint of the sensor under the tool
 BIAS_RATE = 0.02  # per sample
+MAX_BIAS_M = 5e-3  # greater differences are not a bias
 
 
 @jit
@@ -63,10 +64,13 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     gate = max(DISAGREEMENT_M, DISAGREEMENT_SIGMAS * adaptive.noise.sigma_m)
     agrees = lowest - gate < h_m - known.bias_m < highest + gate
     known.contradictions = 0 if agrees else known.contradictions + 1
-    drop = buffered_height(adaptive, s - DROP_LENGTH_M) - h_m
-    if agrees and drop > known.descent_m:
-        known.descent_m = drop
-    known.bias_m += BIAS_RATE * min(max(h_m - here - known.bias_m, -gate), gate)
+    fading = min(adaptive.sample.spacing_m / DROP_LENGTH_M, 1.0) if known.peak_m != 0.0 else 1.0
+    known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)
+    drop = known.peak_m - h_m
+    if agrees and drop > MAX_UNCONFIRMED_DESCENT_M:
+        known.descent_m += fading * max(drop - known.descent_m, 0.0)
+    bias_m = known.bias_m + BIAS_RATE * min(max(h_m - here - known.bias_m, -gate), gate)
+    known.bias_m = min(max(bias_m, -MAX_BIAS_M), MAX_BIAS_M)
     if known.contradictions < 2:
         return False
     known.descent_m = 0.0
@@ -84,4 +88,4 @@ def lowest_plan(known, sensed_m):
 def reset_known_ground(known):
     """Discard contradictions and confirmed drops."""
     known.contradictions = 0
-    known.descent_m = 0.0
+    known.peak_m = known.descent_m = 0.0
