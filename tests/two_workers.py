@@ -49,7 +49,7 @@ LONG = (
     "tests/benchmark/test_baselines.py",
     "tests/arbiter/test_tutorial.py",
     "tests/apps/test_clearance_monitor.py",
-    "tests/forecast/test_adaptive_terrain_regression.py",
+    "tests/forecast/test_adaptive_extrapolation.py",
     "tests/service/test_access.py",
     "tests/client/test_light_install.py",
     "tests/benchmark/test_evaluation.py",

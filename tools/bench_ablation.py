@@ -84,15 +84,16 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "if dropout > 1e9 and recent:",
         )
     ],
-    "terrain regression": [
+    "extrapolation by the bank": [
         (
             "preview",
-            "predict_rise(regression, j, offset, rise) if math.isfinite(rise)",
-            "0.0 if math.isfinite(rise)",
+            "rise = bank_rise(adaptive, end_m + min(x, PREDICTION_M)) - before",
+            "rise = 0.0 * before",
         )
     ],
-    "penalty on an early descent": [
-        ("preview_control", "EARLY_WEIGHT = 1.5e-3, 300.0", "EARLY_WEIGHT = 1.5e-3, 0.0")
+    "reversion to the mean": [("preview", "REVERSION = 1.5", "REVERSION = 0.0")],
+    "bound of an early descent": [
+        ("preview_control", "early = lowest + standoff_m - DISAGREEMENT_M", "early = lowest - 1e9")
     ],
     "curve models": [("model_bank", "for qc in (3.0, 20.0, 150.0)]", "for qc in (20.0,)]")],
     "wave models": [("model_bank", "_LONGEST_WAVE_M = 11, 3, 0.6", "_LONGEST_WAVE_M = 3, 3, 0.6")],

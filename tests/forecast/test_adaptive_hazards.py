@@ -23,13 +23,13 @@ from surffollow.benchmark.hazard_scenarios import (
 from surffollow.benchmark.hazards import PLoop, play, shortfall_m
 from surffollow.forecast.attitude.beam_detection import is_bent
 from surffollow.forecast.terrain.known_ground import (
-    CONTRADICTION_SAMPLES,
+    BIAS_RATE,
     DROP_LENGTH_M,
     compare_known_ground,
     lowest_plan,
 )
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_follow import FollowState
+from surffollow.shm.layout_follow import FollowState, Inputs
 
 MS = 1_000_000
 BELOW_P_M = 5e-3
@@ -384,25 +384,31 @@ def test_bent_beams_are_those_that_no_plane_fits(seed):
 @pytest.mark.parametrize("seed", range(20))
 def test_known_ground_is_compared_as_its_naive_twin_does(seed):
     rng = np.random.default_rng(seed)
-    a = zeros(FollowState)[0]["adaptive"]
+    a, inputs = zeros(FollowState)[0]["adaptive"], zeros(Inputs)[0]
     a["noise"]["sigma_m"], a["sample"]["spacing_m"] = 1e-4, 4e-4
-    heights, run, drops = [], 0, 0.0
-    for k in range(300):
+    inputs["n_preview"], inputs["preview_from_m"], inputs["preview_step_m"] = 6, -2.5e-3, 1e-3
+    run, peak, drops, bias = 0, 0.0, 0.0, 0.0
+    for k in range(600):
         h = 5e-3 * float(rng.standard_normal() > 0.8) + 1e-4 * float(rng.standard_normal())
         known = [
             math.nan if rng.random() < 0.3 else h + 2e-3 * float(rng.standard_normal()) for _ in range(3)
         ]
         known[1] = h + 2e-3 * float(rng.standard_normal())
-        wrong = compare_known_ground(a, *known, h)
+        inputs["preview_m"][:6] = np.repeat(known, 2)
+        wrong = compare_known_ground(a, inputs, 0.0, h)
+        given = [v for v in known if v == v]
+        agrees = min(given) - 1.5e-3 < h - bias < max(given) + 1.5e-3
+        run = 0 if agrees else run + 1
+        assert wrong == (run >= 2), k
         # the greatest of all heights so far, each faded toward those after it
         fading = 4e-4 / DROP_LENGTH_M
-        peak = h if not heights else max(h, heights[-1] + fading * (h - heights[-1]))
-        heights.append(peak)
-        given = [v for v in known if v == v]
-        run = run + 1 if h > max(given) + 1.5e-3 else 0
-        assert wrong == int(run >= CONTRADICTION_SAMPLES), k
+        peak = h if k == 0 else max(h, peak + fading * (h - peak))
         if wrong:
             drops = 0.0
-        elif min(given) - 1.5e-3 < h < max(given) + 1.5e-3 and peak - h > 3e-3:
-            drops += fading * max(peak - h - drops, 0.0)
+        elif agrees and peak - h > 3e-3:
+            drops += (fading if k else 1.0) * max(peak - h - drops, 0.0)
+        bias += BIAS_RATE * float(np.clip(h - known[1] - bias, -1.5e-3, 1.5e-3))
         assert lowest_plan(a["known"], 1.0) == pytest.approx(1.0 - 3e-3 - drops, abs=1e-12)
+        assert a["known"]["bias_m"] == pytest.approx(bias, abs=1e-12)
+        if wrong:
+            assert a["known"]["trusted_from_m"] == pytest.approx(DROP_LENGTH_M)

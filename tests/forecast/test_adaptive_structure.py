@@ -41,7 +41,6 @@ OWNERS = {
     "blend": "setpoint_blend",
     "setpoint": "setpoint_limits",
     "buffer": "terrain_buffer",
-    "regression": "terrain_regression",
     "lookahead": "lookahead_sensor",
     "preview": "preview",
     "known": "known_ground",

@@ -40,8 +40,6 @@ from surffollow.shm.layout_follow import (
 )
 from surffollow.units import real_number
 
-RECALL_NS = 5_000_000  # remembered ground is looked up at most so often, at the reference time 1
-
 
 def _real(value: object) -> float:
     """A real number as float; text and truth values are none."""
@@ -91,9 +89,8 @@ class Follower:
         self._n_ranges, self._given_m = self._inputs["n_ranges"], self._inputs["given_m"][0]
         self._demand = self._output["demand"][0]
         self._pose = np.zeros(7)
-        self._n_preview, self._previews = self._inputs["n_preview"], self._params["preview"]
         self._pose_timeout_ns = self._params["pose_timeout_ns"]
-        self._recalled_ns = self._latest_ns = self._stepped_ns = 0
+        self._latest_ns = self._stepped_ns = 0
         setup = read_setup(config, offset_m)
         for name, number in setup.values.items():
             self._params[name] = number
@@ -111,7 +108,6 @@ class Follower:
 
     def _scale_times(self) -> None:
         """Times of the caller's clock that follow from the reference time."""
-        self._recall_ns = RECALL_NS * float(self._scaled["time"])
         self._stamps.time.set_scale(float(self._scaled["time"]))
         self._jump_ns = self._stamps.time.jump_ns
 
@@ -163,7 +159,6 @@ class Follower:
         # cells of another reference length are of no use
         if self._memory is not None and (not keep_memory or float(self._scaled["length"]) != before):
             self._memory[:] = np.zeros((), self._memory.dtype)
-            self._n_preview[0] = self._recalled_ns = 0
 
     def pose(self, t_ns: int, pose: Sequence[float] | NDArray[Any]) -> bool:
         """Take a pose report.
@@ -250,11 +245,8 @@ class Follower:
         self._latest_ns = max(t, self._latest_ns if self._latest_ns - t <= self._jump_ns else t)
         if self._latest_ns - t > self._pose_timeout_ns[0]:
             self._t_ns[0] = self._latest_ns  # an old reading is no reason to take the poses for future ones
-        if self._memory is None or self._previews[0] == 0:
-            self._n_preview[0] = 0
-        elif t_ns >= self._recalled_ns + self._recall_ns or t_ns < self._recalled_ns - self._jump_ns:
-            read_preview(self._memory, self._state, self._inputs)
-            self._recalled_ns = t_ns
+        if self._memory is not None:
+            read_preview(self._memory, self._params, self._state, self._inputs)
         follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
         if self._memory is not None:
             store_footprint(self._memory, self._state, self._output)

@@ -128,21 +128,17 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     standoff_m : float64  desired height of the tool above the ground [m]
     """
     clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
-    lookahead = adaptive.lookahead
     leads = adaptive.sample.lead_m > MIN_LEAD_M
-    trusted = adaptive.sample.arc_length_m >= lookahead.trusted_from_m
-    another_leads = lookahead.lead_m > MIN_LEAD_M and trusted
     open_period(controller, inputs.n_ranges, clock.now_ns)
     latch_ns = latch_time(controller, inputs.n_ranges, clock.now_ns)
     since_pose_m = kinematics.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = mean_wait_s(params, controller)
-    at_latch_m = ahead_m + kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - wait_s)
-    bias_m = lookahead.bias_m if another_leads and not leads else 0.0
-    known = collect_preview(adaptive, inputs, leads or another_leads, at_latch_m, since_pose_m, bias_m)
+    ahead_m += kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - wait_s)
+    known = collect_preview(adaptive, inputs, leads, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
     update_share(adaptive, known, leads, model_error(adaptive.plant))
     if known >= MIN_KNOWN_PERIODS:
         z, v = predict_axis(params, adaptive, latch_ns)
-        extrapolate_ground(adaptive, known, adaptive.estimate.arc_length_m + at_latch_m, bias_m)
+        extrapolate_ground(adaptive, known, ahead_m)
         plan_setpoint(params, adaptive, known, z, v, standoff_m + setpoint_shift_m(adaptive.response))
 
 

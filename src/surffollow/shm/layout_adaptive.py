@@ -14,7 +14,6 @@ from surffollow.shm.layout_adaptive_estimation import (
     Estimate,
     Gate,
     Noise,
-    Regression,
     Shadow,
     Weights,
 )
@@ -111,18 +110,22 @@ class Preview(Schema):
 
     share = F64(doc="share of the planned setpoint, 0 to 1")
     suspended_until_ns = I64(unit="ns", doc="no preview until then")
-    map_bias_m = F64(unit="m", doc="sensor minus map, mean")
-    map_deviation_m = F64(unit="m", doc="sensor minus map, mean deviation beyond the bias")
     sensed_periods = I64(doc="periods of ground known from channel 0 ahead of the tool; 0: it does not lead")
     ground_m = F64(HORIZON, unit="m", doc="ground under the tool per controller period")
+    predicted_m = F64(unit="m", doc="height as the model bank predicted it over a distance …")
+    predicted_from_m = F64(unit="m", doc="… from this arc length")
+    error_m2 = F64(unit="m^2", doc="mean squared error of such predictions")
+    mean_m = F64(unit="m", doc="recent mean of the height")
+    offset_m2 = F64(unit="m^2", doc="mean squared offset from it")
 
 
 class Known(Schema):
     """Known ground against the sensor under the tool (`known_ground`)."""
 
-    samples = I64(doc="samples of channel 0 over known ground so far")
-    contradictions = I64(doc="samples in a row that lie above it")
-    peak_m = F64(unit="m", doc="greatest height lately; older ones fade with the distance")
+    bias_m = F64(unit="m", doc="height by channel 0 minus known height, mean")
+    contradictions = I64(doc="samples in a row that disagree with it")
+    trusted_from_m = F64(unit="m", doc="arc length from which it is used again")
+    peak_m = F64(unit="m", doc="greatest height lately, older ones fade with the distance; 0: none yet")
     descent_m = F64(unit="m", doc="further descent of a plan that confirmed drops allow")
 
 
@@ -131,8 +134,6 @@ class Plan(Schema):
 
     setpoint_m = F64(unit="m", doc="setpoint of the plan")
     position_m = F64(HORIZON, unit="m", doc="planned axis")
-    early = I64(HORIZON, doc="1: the plan descends there before the ground does")
-    bound_m = F64(HORIZON, unit="m", doc="lowest position there without penalty, from the axis' position")
     acceleration_m = F64(HORIZON, unit="m", doc="planned accelerations [m per period²]")
     multiplier_m = F64(HORIZON, unit="m", doc="their multipliers")
     factor_0 = F64(HORIZON, doc="pentadiagonal factors: D …")
@@ -171,7 +172,6 @@ class AdaptiveState(Schema):
     blend = Nested(Blend)
     setpoint = Nested(Setpoint)
     buffer = Nested(Buffer)
-    regression = Nested(Regression)
     lookahead = Nested(Lookahead)
     known = Nested(Known)
     preview = Nested(Preview)

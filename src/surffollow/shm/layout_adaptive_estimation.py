@@ -8,7 +8,6 @@ N_MODELS = 16  # of the bank
 N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
-N_DISTANCES = 3  # distances of the terrain regression
 
 
 class Noise(Schema):
@@ -115,16 +114,3 @@ class Buffer(Schema):
     arc_length_m = F64(BUFFER_CELLS, unit="m", doc="mean arc length")
     x_m = F64(BUFFER_CELLS, unit="m", doc="place of its first height")
     y_m = F64(BUFFER_CELLS, unit="m")
-
-
-class Regression(Schema):
-    """Terrain regression: change of height over some distances (`terrain_regression`)."""
-
-    mean_height_m = F64(unit="m", doc="recent mean of the height")
-    mean_length_m = F64(unit="m", doc="length of path in that mean")
-    offset_offset_m2 = F64(N_DISTANCES, unit="m^2", doc="mean square of the offset from the mean")
-    offset_rise_m2 = F64(N_DISTANCES, unit="m^2", doc="mean product of offset and rise before")
-    rise_rise_m2 = F64(N_DISTANCES, unit="m^2", doc="mean square of the rise before")
-    offset_change_m2 = F64(N_DISTANCES, unit="m^2", doc="mean product of offset and change since")
-    rise_change_m2 = F64(N_DISTANCES, unit="m^2", doc="mean product of rise before and change since")
-    change_change_m2 = F64(N_DISTANCES, unit="m^2", doc="mean square of the change since")

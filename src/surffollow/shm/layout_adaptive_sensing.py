@@ -132,9 +132,7 @@ class Lookahead(Schema):
     range_ns = I64(BEAMS, unit="ns", doc="timestamp of the newest range per channel")
     height_m = F64(BEAMS, unit="m", doc="height of it")
     lead_m = F64(unit="m", doc="distance of the newest footprint ahead of channel 0's; 0: none leads")
-    bias_m = F64(unit="m", doc="height by channel 0 minus height by the look-ahead sensor")
     seen_ns = I64(unit="ns", doc="when one of them measured ground ahead most recently")
-    trusted_from_m = F64(unit="m", doc="arc length from which the buffered ground is used again")
 
 
 class Beams(Schema):

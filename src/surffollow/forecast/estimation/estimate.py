@@ -47,7 +47,6 @@ from surffollow.forecast.plant.shadow_axes import (
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.latency_identification import reset_delay
 from surffollow.forecast.terrain.terrain_buffer import store_ground
-from surffollow.forecast.terrain.terrain_regression import reset_mean, update_regression
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
@@ -128,7 +127,6 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     estimate.settle_ns = t_ns + SETTLING_NS
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
     store_ground(adaptive, estimate.arc_length_m, h_m)
-    reset_mean(adaptive.regression, h_m)
     blend_models(adaptive)
 
 
@@ -190,7 +188,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     travel_m : float64       distance travelled by the footprint since the sample before [m], ≥ 0
     h_m : float64            height of the footprint [m]
     standoff_m : float64     wanted height of the tool above the ground [m]
-    adapt : bool             False: index, weights, noise and terrain regression stay as they are
+    adapt : bool             False: index, weights and noise stay as they are
     """
     noise, gate, bank, estimate = adaptive.noise, adaptive.gate, adaptive.bank, adaptive.estimate
     kinematics = adaptive.kinematics
@@ -250,5 +248,4 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     if estimate.samples >= INITIALISATION_SAMPLES:
         estimate.confirmed_ns = t_ns
     store_ground(adaptive, estimate.arc_length_m, h_m)
-    update_regression(adaptive, h_m, travel, adapt)
     return True

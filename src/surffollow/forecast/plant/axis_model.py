@@ -8,7 +8,7 @@ BISECTIONS = 24  # resolution: 6e-8 of the interval searched
 PERIOD_S = 0.01  # of the plan: one controller period
 AXIS_STEP_NS = 2_000_000  # of all axis models
 AXIS_STEPS = round(PERIOD_S * 1e9) // AXIS_STEP_NS  # in a controller period
-ATTAINABLE_SHARE = 0.999  # of the greatest change of velocity in a period; the rest is for rounding
+ATTAINABLE_SHARE = 0.999  # of the greatest velocity, and of its change in a period; the rest is for rounding
 
 
 @jit
@@ -74,7 +74,8 @@ def invert_axis(params, tau_s, z_m, v_mps, wanted_mps):
     wanted_mps : float64  the velocity after the period [m/s]
     """
     change = ATTAINABLE_SHARE * params.plant_a_max_mps2 * PERIOD_S
-    wanted_mps = min(max(wanted_mps, v_mps - change), v_mps + change)
+    fastest = ATTAINABLE_SHARE * params.plant_v_max_mps
+    wanted_mps = min(max(wanted_mps, v_mps - change, -fastest), v_mps + change, fastest)
     v = abs(wanted_mps)
     reach = v * tau_s + v * v / params.plant_a_max_mps2 + 0.01
     low, high = z_m - reach, z_m + reach

@@ -28,8 +28,8 @@ from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.response import is_unresponsive, observe_response
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
 from surffollow.forecast.sensing.standoff import axis_ground_point, standoff_height
-from surffollow.forecast.terrain.lookahead_sensor import compare_lookahead
-from surffollow.forecast.terrain.preview import compare_map, withdraw_preview
+from surffollow.forecast.terrain.known_ground import compare_known_ground
+from surffollow.forecast.terrain.preview import observe_ground, withdraw_preview
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES, RUN_FREEZE
 
@@ -71,13 +71,14 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
         predict_pose(kinematics, sense, t, pose)  # the regression needs other poses
     travel = advance_path(params, adaptive, t, x, y, orients, pose)
     standoff = standoff_height(params, adaptive.plane, sense, orients)
-    if not enter_sample(params, adaptive, t, travel, h, standoff, adapt):
-        return
-    if inputs.n_preview > 0 and not at_rest:
+    if not at_rest:
         newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
         gap_x, gap_y = x - sense.pose[newest], y - sense.pose[newest + 1]
         ahead = distance_along(kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
-        compare_map(adaptive, inputs, ahead, h)
+        if compare_known_ground(adaptive, inputs, ahead, h):
+            withdraw_preview(adaptive.preview)
+    if not enter_sample(params, adaptive, t, travel, h, standoff, adapt):
+        return
     if not orients:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, h
@@ -204,10 +205,9 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
 @jit
 def enter_sample(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     """Update the estimate and what depends on it, as in `update_estimate`; whether the sample entered."""
-    if compare_lookahead(adaptive, adaptive.sample.arc_length_m, h_m):
-        withdraw_preview(adaptive.preview)
     if not update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         return False
+    observe_ground(adaptive, h_m, adapt)
     if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
         update_deadband(params, adaptive)
     return True

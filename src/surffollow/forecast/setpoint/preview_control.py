@@ -7,22 +7,19 @@ It is solved by the alternating direction method of multipliers (ADMM): one pent
 a clip, a fixed number of times, warm-started from the last period. Extrapolated ground beyond the known piece
 has half the weight, so that the axis does not arrive there too fast; ground farther on has none.
 
-Descending before a step down is penalised: ½ W (b − z)² where z is below b, with W large. The matrix is then
-factorised again.
+The setpoint does not lead the axis below the ground that the tool reaches within the axis' time constant: the
+plan of least squares alone would begin to descend long before an edge.
 """
 
 from surffollow.forecast.plant.axis_model import PERIOD_S, invert_axis
+from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
-ITERATIONS = 25  # twice as many with early points
-ADMM_PENALTY = (
-    60.0  # converges in the fixed number of iterations (compared with a general solver in the tests)
-)
+# convergence with a warm start is compared with a general solver in the tests
+ITERATIONS, ADMM_PENALTY = 25, 60.0
 ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
 UNKNOWN_WEIGHT = 1e-6  # not 0, so that the matrix stays regular
-EARLY_M, EARLY_WEIGHT = 1.5e-3, 300.0  # a point lower than this before the ground descends is early
-EDGE_TOLERANCE_M = 6e-4  # uncertainty of the place of an edge
 EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # periods beyond the known ground
 
 
@@ -35,33 +32,6 @@ def point_weight(k, known):
 
 
 @jit
-def mark_early(adaptive, known, standoff_m, z_m):
-    """Mark in `plan.early` the points that descend before the ground does; returns how many changed.
-
-    An early point is below the lowest desired height until then by more than `EARLY_M`, and below the axis'
-    present position: an axis that is still on its way up is not early.
-
-    Parameters
-    ----------
-    adaptive : record of `AdaptiveState` (`plan` updated)
-    known : int           known periods of ground
-    standoff_m : float64  desired height of the tool above the ground [m]
-    z_m : float64         position of the axis where the plan begins [m]
-    """
-    preview, plan = adaptive.preview, adaptive.plan
-    lowest, changed = preview.ground_m[0] + standoff_m - z_m, 0
-    late = min(int(EDGE_TOLERANCE_M / max(adaptive.kinematics.speed_mps * PERIOD_S, 1e-6)), HORIZON)
-    for k in range(min(known - 1, HORIZON)):
-        lowest = min(lowest, preview.ground_m[max(k + 1 - late, 0)] + standoff_m - z_m)
-        plan.bound_m[k] = min(lowest - EARLY_M, 0.0)
-        early = 1 if plan.position_m[k] < plan.bound_m[k] else 0
-        if early != plan.early[k]:
-            plan.early[k] = early
-            changed += 1
-    return changed
-
-
-@jit
 def factorise(plan, known, stiffness):
     """LDLᵀ of W + stiffness·DᵀD, for second differences D that begin with two known points."""
     n = HORIZON
@@ -71,8 +41,6 @@ def factorise(plan, known, stiffness):
         e = (-2.0 if k + 1 < n else 0.0) + (-2.0 if k + 2 < n else 0.0)
         f = 1.0 if k + 2 < n else 0.0
         d, e, f = point_weight(k, known) + stiffness * d, stiffness * e, stiffness * f
-        if plan.early[k] != 0:
-            d += EARLY_WEIGHT
         if k >= 1:
             d -= plan.factor_1[k - 1] ** 2 * plan.factor_0[k - 1]
             e -= plan.factor_1[k - 1] * plan.factor_2[k - 1] * plan.factor_0[k - 1]
@@ -121,24 +89,17 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     limit = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
     effort = params.plan_effort_s4 / PERIOD_S**4
     stiffness = effort + ADMM_PENALTY
-    for k in range(n):
-        plan.early[k] = 0
     factorise(plan, known, stiffness)
     before = -v_mps * PERIOD_S  # the point before now, relative to now
     for k in range(n - 1):
         plan.acceleration_m[k] = plan.acceleration_m[k + 1]
         plan.multiplier_m[k] = plan.multiplier_m[k + 1]
     plan.acceleration_m[n - 1] = plan.multiplier_m[n - 1] = 0.0
-    rounds = ITERATIONS
-    for i in range(2 * ITERATIONS):
-        if i >= rounds:
-            break
+    for _ in range(ITERATIONS):
         for k in range(n):
             # point k is k + 1 periods from now
             ground = adaptive.preview.ground_m[min(k + 1, n - 1)] + standoff_m - z_m
             plan.position_m[k] = point_weight(k, known) * ground
-            if plan.early[k] != 0:
-                plan.position_m[k] += EARLY_WEIGHT * plan.bound_m[k]
         for k in range(n):
             # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
             r = ADMM_PENALTY * (plan.acceleration_m[k] - plan.multiplier_m[k]) - (
@@ -150,9 +111,6 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
             if k >= 2:
                 plan.position_m[k - 2] += r
         solve(plan)
-        if mark_early(adaptive, known, standoff_m, z_m) > 0:
-            factorise(plan, known, stiffness)
-            rounds = 2 * ITERATIONS
         z2, z1 = before, 0.0
         for k in range(n):
             b = plan.position_m[k] - 2.0 * z1 + z2
@@ -175,5 +133,10 @@ def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     z_m, v_mps : float64  axis at the latch time [m, m/s]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
+    plan, tau_s = adaptive.plan, adaptive.plant.tau_s
     speed = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
-    adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)
+    lowest = adaptive.preview.ground_m[0]
+    for k in range(1, min(known, 2 + round(tau_s / PERIOD_S))):
+        lowest = min(lowest, adaptive.preview.ground_m[k])
+    early = lowest + standoff_m - DISAGREEMENT_M
+    plan.setpoint_m = max(invert_axis(params, tau_s, z_m, v_mps, speed), early)

@@ -1,48 +1,81 @@
-"""Known ground against the sensor under the tool: contradictions and confirmed drops.
+"""Known ground: heights ahead of the tool from a look-ahead sensor or a map, and whether they hold.
 
-Known ground is what a map, the terrain memory or a look-ahead sensor gave before the tool was there. Where it
-lies below what channel 0 measures, preview pulls the tool toward the surface.
+A look-ahead sensor fills the terrain buffer. Heights of a map or of the terrain memory are an input of the
+cycle. Where known ground lies below what channel 0 measures, preview would pull the tool toward the surface.
 """
 
+import math
+
+from surffollow.forecast.terrain.terrain_buffer import CELL_M, MIN_LEAD_M, buffered_height
 from surffollow.shm.jit import jit
 
-DISAGREEMENT_M = 1.5e-3  # heights of one place that differ by more disagree
-# channel 0 above the known ground by that …
-CONTRADICTION_SIGMAS = 6.0  # … or by so many standard deviations of a reading …
-CONTRADICTION_SAMPLES = 2  # … so often in a row: the known ground is wrong
-REGISTRATION_M = 2e-3  # error of the place of a known height
-DROP_LENGTH_M = 0.01  # length of a drop, and of the ground beyond that confirms it
-MAX_UNCONFIRMED_DESCENT_M = 3e-3  # of a plan below the setpoint of the sensor under the tool
+DISAGREEMENT_M = 1.5e-3  # heights of one place that differ by more …
+DISAGREEMENT_SIGMAS = 6.0  # … or by so many standard deviations of a reading disagree
+REGISTRATION_M = 2.0 * CELL_M  # error of the place of a known height
+DROP_LENGTH_M = 2.0 * MIN_LEAD_M  # over which a drop is taken, and for which a map is not used after an error
+MAX_UNCONFIRMED_DESCENT_M = 2.0 * DISAGREEMENT_M  # of a plan below the setpoint of the sensor under the tool
+BIAS_RATE = 0.02  # per sample
+MAX_BIAS_M = 5e-3  # greater differences are not a bias
 
 
 @jit
-def compare_known_ground(adaptive, height_behind_m, height_here_m, height_ahead_m, h_m):
-    """Compare channel 0's height with known ground; whether several samples in a row contradict it.
+def known_height(adaptive, inputs, s_m, ahead_m):
+    """Height of a place as the look-ahead sensor or the map has it [m]; NaN where it has none.
 
     Parameters
     ----------
-    adaptive : record of `AdaptiveState` (updated)
-    height_behind_m, height_here_m, height_ahead_m : known heights `REGISTRATION_M` behind, at and ahead
-        of the place, without bias [m]; NaN: not known
-    h_m : float64            channel 0's height [m]
+    adaptive, inputs : records of `AdaptiveState`, `Inputs`
+    s_m : float64      arc length of the place, for the terrain buffer [m]
+    ahead_m : float64  its distance ahead of the point under the newest pose, for the map [m]
     """
-    known = adaptive.known
+    if adaptive.lookahead.lead_m > 0.0 or adaptive.sample.lead_m > MIN_LEAD_M:
+        return buffered_height(adaptive, s_m)
+    if inputs.n_preview < 2 or not inputs.preview_step_m > 0.0:
+        return math.nan
+    f = (ahead_m - inputs.preview_from_m) / inputs.preview_step_m
+    if not 0.0 <= f < inputs.n_preview - 1:
+        return math.nan
+    i = int(f)
+    return inputs.preview_m[i] * (1.0 - (f - i)) + inputs.preview_m[i + 1] * (f - i)
+
+
+@jit
+def compare_known_ground(adaptive, inputs, ahead_m, h_m):
+    """Compare the newest sample of channel 0 with known ground; whether two in a row contradict it.
+
+    Then known ground is used again beyond all that the look-ahead sensor has measured, or farther on in the
+    map. A drop that was known and that the sample confirms allows plans to descend by as much.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`known` updated)
+    inputs : record of `Inputs`
+    ahead_m : float64  place of the sample, ahead of the point under the newest pose [m]
+    h_m : float64      height of the sample [m]
+    """
+    known, s = adaptive.known, adaptive.sample.arc_length_m
+    here = known_height(adaptive, inputs, s, ahead_m)
+    if not math.isfinite(here):
+        return False
+    behind = known_height(adaptive, inputs, s - REGISTRATION_M, ahead_m - REGISTRATION_M)
+    beyond = known_height(adaptive, inputs, s + REGISTRATION_M, ahead_m + REGISTRATION_M)
     # the first one is known; NaN is neither greater nor less
-    highest = max(height_here_m, height_behind_m, height_ahead_m)
-    lowest = min(height_here_m, height_behind_m, height_ahead_m)
-    gate = max(DISAGREEMENT_M, CONTRADICTION_SIGMAS * adaptive.noise.sigma_m)
-    spacing = adaptive.sample.spacing_m
-    fading = min(spacing / DROP_LENGTH_M, 1.0) if known.samples > 0 else 1.0
+    highest, lowest = max(here, behind, beyond), min(here, behind, beyond)
+    gate = max(DISAGREEMENT_M, DISAGREEMENT_SIGMAS * adaptive.noise.sigma_m)
+    agrees = lowest - gate < h_m - known.bias_m < highest + gate
+    known.contradictions = 0 if agrees else known.contradictions + 1
+    fading = min(adaptive.sample.spacing_m / DROP_LENGTH_M, 1.0) if known.peak_m != 0.0 else 1.0
     known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)
-    known.samples += 1
-    known.contradictions = known.contradictions + 1 if h_m > highest + gate else 0
-    if known.contradictions >= CONTRADICTION_SAMPLES:
-        known.descent_m = 0.0
-        return True
     drop = known.peak_m - h_m
-    if lowest - gate < h_m < highest + gate and drop > MAX_UNCONFIRMED_DESCENT_M:
+    if agrees and drop > MAX_UNCONFIRMED_DESCENT_M:
         known.descent_m += fading * max(drop - known.descent_m, 0.0)
-    return False
+    bias_m = known.bias_m + BIAS_RATE * min(max(h_m - here - known.bias_m, -gate), gate)
+    known.bias_m = min(max(bias_m, -MAX_BIAS_M), MAX_BIAS_M)
+    if known.contradictions < 2:
+        return False
+    known.descent_m = 0.0
+    known.trusted_from_m = s + max(adaptive.lookahead.lead_m, DROP_LENGTH_M)
+    return True
 
 
 @jit
@@ -54,5 +87,5 @@ def lowest_plan(known, sensed_m):
 @jit
 def reset_known_ground(known):
     """Discard contradictions and confirmed drops."""
-    known.samples = known.contradictions = 0
+    known.contradictions = 0
     known.peak_m = known.descent_m = 0.0

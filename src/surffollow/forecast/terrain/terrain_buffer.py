@@ -9,10 +9,9 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
 CELL_M = 1e-3  # length of a cell along the path, side of a cell of the terrain memory
-MIN_LEAD_M = 0.005  # a footprint this far ahead leads
+MIN_LEAD_M = 0.005  # a footprint this far ahead leads, one this far from the path is not on it …
+OFF_PATH_SHARE = 0.2  # … or this share of the distance along it
 MAX_HOLE_CELLS = 8  # holes up to this long are bridged
-# greatest distance from the path, or share of the distance along it
-OFF_PATH_M, OFF_PATH_SHARE = 5e-3, 0.2
 
 
 @jit
@@ -26,50 +25,28 @@ def point_at(adaptive, s_m):
 
 
 @jit
-def is_off_path(adaptive, c, s_m, x_m, y_m):
-    """Whether cell c was measured away from a point of the path.
-
-    Parameters
-    ----------
-    adaptive : record of `AdaptiveState`
-    c : int             index of the cell
-    s_m : float64       arc length of the point [m]
-    x_m, y_m : float64  the point, world frame [m]
-    """
+def is_off_path(adaptive, c, s_m):
+    """Whether cell c was measured away from the point of the path at an arc length."""
     buffer = adaptive.buffer
-    tolerance = max(OFF_PATH_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
-    return (buffer.x_m[c] - x_m) ** 2 + (buffer.y_m[c] - y_m) ** 2 > tolerance * tolerance
+    x, y = point_at(adaptive, s_m)
+    tolerance = max(MIN_LEAD_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
+    return math.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y) > tolerance
 
 
 @jit
 def store_ground(adaptive, s_m, h_m):
-    """Store an accepted height at its arc length."""
-    x, y = point_at(adaptive, s_m)
-    store_ground_at(adaptive, s_m, h_m, x, y)
-
-
-@jit
-def store_ground_at(adaptive, s_m, h_m, x_m, y_m):
-    """Store a height measured at a point at its arc length; a cell measured elsewhere is replaced.
-
-    Parameters
-    ----------
-    adaptive : record of `AdaptiveState` (`buffer` updated)
-    s_m, h_m : float64  arc length and height [m]
-    x_m, y_m : float64  the point, world frame [m]
-    """
+    """Store a height at its arc length; a cell measured elsewhere is replaced."""
     buffer = adaptive.buffer
     k = int(s_m / CELL_M)
     c = k & (BUFFER_CELLS - 1)
-    if buffer.cell[c] != k + 1 or is_off_path(adaptive, c, s_m, x_m, y_m):
+    if buffer.cell[c] != k + 1 or is_off_path(adaptive, c, s_m):
         buffer.cell[c] = k + 1
-        buffer.x_m[c], buffer.y_m[c] = x_m, y_m
+        buffer.x_m[c], buffer.y_m[c] = point_at(adaptive, s_m)
         buffer.count[c] = 0.0
         buffer.height_m[c] = buffer.arc_length_m[c] = 0.0
-    n = buffer.count[c] + 1.0
-    buffer.count[c] = n
-    buffer.height_m[c] += (h_m - buffer.height_m[c]) / n
-    buffer.arc_length_m[c] += (s_m - buffer.arc_length_m[c]) / n
+    buffer.count[c] += 1.0
+    buffer.height_m[c] += (h_m - buffer.height_m[c]) / buffer.count[c]
+    buffer.arc_length_m[c] += (s_m - buffer.arc_length_m[c]) / buffer.count[c]
 
 
 @jit
@@ -88,12 +65,7 @@ def buffered_height(adaptive, s_m):
         c = (k + j) & (BUFFER_CELLS - 1)
         if above < 0 and buffer.cell[c] == k + j + 1 and buffer.arc_length_m[c] > s_m:
             above = c
-        if below >= 0 and above >= 0:
-            break
-    if below < 0 or above < 0:
-        return math.nan
-    x, y = point_at(adaptive, s_m)
-    if is_off_path(adaptive, below, s_m, x, y) or is_off_path(adaptive, above, s_m, x, y):
+    if below < 0 or above < 0 or is_off_path(adaptive, below, s_m) or is_off_path(adaptive, above, s_m):
         return math.nan
     f = (s_m - buffer.arc_length_m[below]) / (buffer.arc_length_m[above] - buffer.arc_length_m[below])
     return buffer.height_m[below] * (1.0 - f) + buffer.height_m[above] * f
