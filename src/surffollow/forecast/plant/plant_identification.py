@@ -47,57 +47,67 @@ def reset_axes(params, adaptive, t_ns, z_m):
 
 
 @jit
-def predict_axis(params, adaptive, to_ns):
-    """Position and velocity of the observed axis at a later time [m, m/s]."""
+def follow_setpoints(params, adaptive, tau_s, z_m, v_mps, to_ns):
+    """Position and velocity at a later time of an axis that follows the own setpoints [m, m/s].
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState`
+    tau_s : float64       time constant of the axis [s]
+    z_m, v_mps : float64  its position and velocity at `plant.t_ns`
+    to_ns : int64         the later time, at most MAX_AXIS_GAP_NS later
+    """
     controller, plant = adaptive.controller, adaptive.plant
-    z, v = plant.axis_m, plant.axis_mps
     span = min(to_ns - plant.t_ns, MAX_AXIS_GAP_NS)
-    if span <= 0:
-        return z, v
-    steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
-    dt = span * 1e-9 / steps
-    a_max, v_max = params.plant_a_max_mps2, params.plant_v_max_mps
+    steps = (span + AXIS_STEP_NS - 1) // AXIS_STEP_NS
     j = oldest_period(controller)
     for n in range(steps):
         j = period_at(controller, j, plant.t_ns + (span * n) // steps)
-        target = plant.setpoint_m[j & (N_PERIODS - 1)]
-        z, v = step_axis(plant.tau_s, v_max, a_max, z, v, target, dt)
-    return z, v
+        z_m, v_mps = step_axis(
+            tau_s,
+            params.plant_v_max_mps,
+            params.plant_a_max_mps2,
+            z_m,
+            v_mps,
+            plant.setpoint_m[j & (N_PERIODS - 1)],
+            span * 1e-9 / steps,
+        )
+    return z_m, v_mps
+
+
+@jit
+def predict_axis(params, adaptive, to_ns):
+    """Position and velocity of the observed axis at a later time [m, m/s]."""
+    plant = adaptive.plant
+    return follow_setpoints(params, adaptive, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
 
 
 @jit
 def propagate_axes(params, adaptive, to_ns):
     """Propagate all axis models with the follower's own setpoints."""
-    controller, plant = adaptive.controller, adaptive.plant
-    span = to_ns - plant.t_ns
-    steps = max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1)
-    dt = span * 1e-9 / steps
-    a_max, v_max = params.plant_a_max_mps2, params.plant_v_max_mps
-    j = oldest_period(controller)
-    for n in range(steps):
-        j = period_at(controller, j, plant.t_ns + (span * n) // steps)
-        target = plant.setpoint_m[j & (N_PERIODS - 1)]
-        for k in range(N_PLANTS):
-            tau = plant.tau_configured_s * TAU_RATIO ** (k - N_PLANTS // 2)
-            plant.position_m[k], plant.velocity_mps[k] = step_axis(
-                tau, v_max, a_max, plant.position_m[k], plant.velocity_mps[k], target, dt
-            )
+    plant = adaptive.plant
+    for k in range(N_PLANTS):
+        tau_s = plant.tau_configured_s * TAU_RATIO ** (k - N_PLANTS // 2)
+        plant.position_m[k], plant.velocity_mps[k] = follow_setpoints(
+            params, adaptive, tau_s, plant.position_m[k], plant.velocity_mps[k], to_ns
+        )
     plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
 
 
 @jit
+def model_error(plant):
+    """Squared error of the best axis model against the reports [m²]."""
+    return plant.error_m2.min()
+
+
+@jit
 def best_time_constant(plant):
     """τ of the least error by a parabola through three [s]; 0 when the errors do not differ."""
-    b, worst = 0, 0.0
-    for k in range(N_PLANTS):
-        worst = max(worst, plant.error_m2[k])
-        if plant.error_m2[k] < plant.error_m2[b]:
-            b = k
-    if worst - plant.error_m2[b] < MIN_DIFFERENCE_M2:
+    if plant.error_m2.max() - model_error(plant) < MIN_DIFFERENCE_M2:
         return 0.0
     # a parabola over √τ through three points: over τ its minimum is too high, over log τ too low
-    b = min(max(b, 1), N_PLANTS - 2)
+    b = min(max(plant.error_m2.argmin(), 1), N_PLANTS - 2)
     middle = math.sqrt(plant.tau_configured_s * TAU_RATIO ** (b - N_PLANTS // 2))
     left, right = middle / math.sqrt(TAU_RATIO), middle * math.sqrt(TAU_RATIO)
     slope_below = (plant.error_m2[b] - plant.error_m2[b - 1]) / (middle - left)
@@ -107,15 +117,6 @@ def best_time_constant(plant):
         return middle * middle
     root = min(max(0.5 * (left + middle - slope_below / curvature), left), right)
     return root * root
-
-
-@jit
-def model_error(plant):
-    """Squared error of the best axis model against the reports [m²]."""
-    least = plant.error_m2[0]
-    for k in range(1, N_PLANTS):
-        least = min(least, plant.error_m2[k])
-    return least
 
 
 @jit
@@ -142,14 +143,9 @@ def update_plant(params, adaptive, sense, adapt):
         return
     if setpoint.t_ns == 0:
         remove_common_error(plant)
-    gap = t <= plant.t_ns or t - plant.t_ns > MAX_AXIS_GAP_NS
-    if (
-        adaptive.controller.periods == 0
-        or setpoint.t_ns == 0
-        or setpoint.in_dryrun != 0
-        or gap
-        or plant.tau_configured_s != params.plant_tau_s
-    ):
+    applied = adaptive.controller.periods > 0 and setpoint.t_ns != 0 and setpoint.in_dryrun == 0
+    continues = plant.t_ns < t <= plant.t_ns + MAX_AXIS_GAP_NS
+    if not applied or not continues or plant.tau_configured_s != params.plant_tau_s:
         reset_axes(params, adaptive, t, z)
         return
     propagate_axes(params, adaptive, t)

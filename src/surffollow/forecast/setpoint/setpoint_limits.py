@@ -13,12 +13,10 @@ from surffollow.shm.jit import jit
 
 PAUSE_S = 0.1  # after so long without a call the filter begins at the blend, the setpoint at the tool …
 PAUSE_INTERVALS = 3.0  # … or after so many intervals of a slow caller
-MAX_INTERVAL_S = 1.5  # longest interval that is taken as usual
 INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this; later ones double it at most
 INTERVAL_RATE = 0.2  # of the usual interval, per call
-FIRST_STEP_S = 0.001  # length assumed for the first cycle
 MIN_INTERVAL_RATE = 0.002  # at which the shortest interval fades
-MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small
+MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small; length assumed for the first cycle
 MAX_STEP_S = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
 VELOCITY_RATIO, ACCELERATION_RATIO = 2.0, 20.0  # to the limits of the axis: quicker setpoints add effort only
 CONFIRMED_SAMPLES = 25  # of an estimate: with fewer there is no arrival, and after a drop-out no descent
@@ -110,7 +108,7 @@ def restart_pause_s(setpoint):
 def update_interval(setpoint, dt_s):
     """Update the usual and the shortest interval between calls."""
     if dt_s > setpoint.interval_s:
-        setpoint.interval_s = min(dt_s, max(2.0 * setpoint.interval_s, INITIAL_INTERVAL_S), MAX_INTERVAL_S)
+        setpoint.interval_s = min(dt_s, max(2.0 * setpoint.interval_s, INITIAL_INTERVAL_S))
     else:
         setpoint.interval_s += INTERVAL_RATE * (dt_s - setpoint.interval_s)
     if setpoint.min_interval_s == 0.0 or dt_s < setpoint.min_interval_s:
@@ -169,7 +167,7 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     """
     setpoint = adaptive.setpoint
     if setpoint.t_ns == 0:
-        dt = FIRST_STEP_S
+        dt = MIN_INTERVAL_S
     else:
         dt = (now_ns - setpoint.t_ns) * 1e-9
         if dt <= 0.0:
@@ -181,7 +179,7 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     if pause:
         setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
         setpoint.approaching = 1
-        dt = FIRST_STEP_S
+        dt = MIN_INTERVAL_S
     if dt <= PAUSE_S:
         propagate_setpoint(params, adaptive, target_m, min(dt, MAX_STEP_S))
         return
