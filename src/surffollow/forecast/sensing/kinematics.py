@@ -3,14 +3,13 @@
 import math
 
 from surffollow.forecast.pose import pose_at
-from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.sensing.clock import LONG_GAP_NS, MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
 # over which the lateral velocity is taken: noise averages out; reports farther apart show no jump
 SPEED_WINDOW_NS = 100_000_000
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
-MAX_POSE_GAP_NS = 1_000_000_000  # a report older than the newest by this belongs to another motion
 MAX_JUMP_M = 0.02  # distance between two reports beyond the velocity: more is a jump of the frame
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
@@ -27,7 +26,7 @@ def oldest_pose_within(sense, window_ns, first_pose):
     t = sense.pose_t_ns[k & (POSES - 1)]
     while k > oldest and t - sense.pose_t_ns[k & (POSES - 1)] < window_ns:
         k -= 1
-    if t - sense.pose_t_ns[k & (POSES - 1)] > MAX_POSE_GAP_NS:
+    if t - sense.pose_t_ns[k & (POSES - 1)] > LONG_GAP_NS:
         k += 1
     return k & (POSES - 1)
 
@@ -70,7 +69,7 @@ def note_jump(params, kinematics, sense):
 @jit
 def has_jumped(kinematics, now_ns):
     """Whether the reported position has jumped within the last second."""
-    return kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < MAX_POSE_GAP_NS
+    return kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < LONG_GAP_NS
 
 
 @jit

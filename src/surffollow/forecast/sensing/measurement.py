@@ -5,7 +5,7 @@ range → pose at the range's timestamp → footprint → latency, health, plane
 
 import math
 
-from surffollow.forecast.attitude.beam_detection import any_beam_changed, observe_beams, release_beams
+from surffollow.forecast.attitude.beam_detection import observe_beams, release_beams
 from surffollow.forecast.attitude.plane_fit import plane_height
 from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation, reset_rotation
 from surffollow.forecast.estimation.adaptation import update_deadband
@@ -14,14 +14,7 @@ from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.fold_back import watch_fold_back
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.sensing.clock import MAX_GAP_NS
-from surffollow.forecast.sensing.health import (
-    count_close,
-    dropout_tolerance_s,
-    is_stuck,
-    is_stuck_permanently,
-    repeats_range,
-    update_stuck,
-)
+from surffollow.forecast.sensing.health import count_close, dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, distance_along, predict_pose
 from surffollow.forecast.sensing.latency_identification import USUAL_VALUE_RATE, observe_height, update_delay
 from surffollow.forecast.sensing.range_prediction import update_prediction
@@ -128,21 +121,18 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
     -------
     bool, int64 [ns]
     """
-    health, response, beams, hold = adaptive.health, adaptive.response, adaptive.beams, adaptive.hold
+    response = adaptive.response
     update_prediction(adaptive.prediction, t_ns, range_m)
-    changed = orients and any_beam_changed(beams, params.n_channels, hold.t_ns)
-    repeated = repeats_range(health, range_m) and not changed
-    record_sample(hold, t_ns, range_m)
+    record_sample(adaptive.hold, t_ns, range_m)
     if not orients:  # beams have timestamps of their own, without correction
         t_ns -= int(adaptive.latency.correction_s * 1e9)
     update_delay(adaptive.latency, (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.prediction.interval_s)
     predict_pose(adaptive.kinematics, sense, t_ns, pose)
-    was_stuck = is_stuck_permanently(adaptive) or is_unresponsive(response)
-    update_stuck(adaptive, repeated, range_m, pose[2])
+    was_stuck = is_unresponsive(response)
     gap_s = dropout_tolerance_s(adaptive.prediction) + MAX_GAP_NS * 1e-9
-    mean_m = mean_range(beams, params.n_channels, t_ns, range_m) if orients else range_m
+    mean_m = mean_range(adaptive.beams, params.n_channels, t_ns, range_m) if orients else range_m
     observe_response(params, adaptive, t_ns, mean_m, pose[2], gap_s)
-    responds = not (is_stuck(health) or is_unresponsive(response))
+    responds = not is_unresponsive(response)
     if was_stuck and responds:
         discard_estimate(adaptive.estimate)
     return responds, t_ns
