@@ -1,7 +1,7 @@
 """Health of the ranging: drop-outs, health states with hysteresis, latched faults."""
 
 from surffollow.forecast.attitude.rotation_response import has_failed
-from surffollow.forecast.sensing.clock import LONG_GAP_NS, MAX_GAP_NS, USUAL_SAMPLES
+from surffollow.forecast.sensing.clock import CONFIRMATION_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, USUAL_SAMPLES
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
@@ -13,7 +13,6 @@ ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
 WINDOW_EDGE_M = 0.003  # a loss so near an end of the window, as the last sample or the next, is OUT_OF_RANGE
-CLOSE_CONFIRMATION_SAMPLES = 3  # a single glitch is not the fold-back
 
 
 @jit
@@ -143,7 +142,7 @@ def update_health(params, adaptive, sense):
 def count_close(health, close):
     """Count samples in a row near the fold-back; whether they are enough to confirm it."""
     health.close_count = health.close_count + 1 if close else 0
-    return health.close_count >= CLOSE_CONFIRMATION_SAMPLES
+    return health.close_count >= CONFIRMATION_SAMPLES
 
 
 @jit

@@ -13,10 +13,10 @@ from surffollow.forecast.estimation.estimate import discard_estimate, turn_estim
 from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.fold_back import watch_fold_back
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.sensing.clock import MAX_GAP_NS, follow_usual
 from surffollow.forecast.sensing.health import count_close, dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, distance_along, predict_pose
-from surffollow.forecast.sensing.latency_identification import USUAL_VALUE_RATE, observe_height, update_delay
+from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.response import is_unresponsive, observe_response
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
@@ -64,8 +64,12 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
         predict_pose(kinematics, sense, t, pose)  # the regression needs other poses
     travel = advance_path(params, adaptive, t, x, y, orients, pose)
     standoff = standoff_height(params, adaptive.plane, sense, orients)
-    if not enter_sample(params, adaptive, t, travel, h, standoff, adapt):
+    if compare_lookahead(adaptive, sample.arc_length_m, h):
+        withdraw_preview(adaptive.preview)
+    if not update_estimate(params, adaptive, t, travel, h, standoff, adapt):
         return
+    if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
+        update_deadband(params, adaptive)
     if inputs.n_preview > 0 and not at_rest:
         newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
         gap_x, gap_y = x - sense.pose[newest], y - sense.pose[newest + 1]
@@ -180,27 +184,14 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
     if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
         gap_x, gap_y = x_m - pose[0] - sample.tip_x_m, y_m - pose[1] - sample.tip_y_m
         lead = distance_along(kinematics, gap_x, gap_y)
-        known = estimate.samples > 0 and sample.lead_m != 0.0  # a tool that starts at rest has none
-        sample.lead_m += (lead - sample.lead_m) * (USUAL_VALUE_RATE if known else 1.0)
+        sample.lead_m = follow_usual(sample.lead_m if estimate.samples > 0 else 0.0, lead)
     travel = kinematics.speed_mps * (t_ns - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
     if estimate.samples > 0 and is_slow(adaptive):  # the tool may have turned since the sample before
         travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
-    sample.spacing_m += USUAL_VALUE_RATE * (travel - sample.spacing_m)
+    sample.spacing_m = follow_usual(sample.spacing_m, travel)
     sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, estimate.arc_length_m + travel
     return travel
-
-
-@jit
-def enter_sample(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
-    """Update the estimate and what depends on it, as in `update_estimate`; whether the sample entered."""
-    if compare_lookahead(adaptive, adaptive.sample.arc_length_m, h_m):
-        withdraw_preview(adaptive.preview)
-    if not update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
-        return False
-    if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
-        update_deadband(params, adaptive)
-    return True
 
 
 @jit
@@ -233,16 +224,16 @@ def follow_heading(adaptive, x_m, y_m):
         way = math.hypot(way_x, way_y)
         if way <= MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s:
             return
-        if sample.heading_x != 0.0 or sample.heading_y != 0.0:
-            turn_estimate(adaptive, along / way)
-        if along < 0.0:
-            sample.lead_m = -sample.lead_m
-        sample.heading_x, sample.heading_y = way_x / way, way_y / way
-        return
-    if known and has_turned_back(adaptive):
-        if along >= 0.0:
+        turned = sample.heading_x != 0.0 or sample.heading_y != 0.0
+        heading_x, heading_y, cosine = way_x / way, way_y / way, along / way
+    else:
+        turned = known and has_turned_back(adaptive)
+        if turned and along >= 0.0:
             return  # the footprint is still ahead of the one before
-        turn_estimate(adaptive, -1.0)
-        sample.lead_m = -sample.lead_m
-    sample.heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
-    sample.heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
+        heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
+        heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
+        cosine = -1.0
+    if turned:
+        turn_estimate(adaptive, cosine)
+        sample.lead_m = -sample.lead_m if cosine < 0.0 else sample.lead_m
+    sample.heading_x, sample.heading_y = heading_x, heading_y

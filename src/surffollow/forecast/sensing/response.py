@@ -4,10 +4,11 @@ A sensor that no longer sees the ground (stuck, or blocked by something that mov
 range with any noise. The tool then makes the ground move by itself: what it descends, the height falls, and
 what it climbs, the height rises.
 A follower that tracks a plane well reads a constant range, too, but that is the wanted one, with noise. A
-descent with a constant range that is not the wanted one, or that is repeated, is tested: the tool rises
-(`RESPONSE_LIFT`), and the range must follow. In a longer motion the setpoint is first shifted up by a little
-more than the noise hides. A range that grows by the shift ends the run. An ascent leads away from the ground:
-it is tested by that shift, and then by a greater one.
+descent with a constant range that is not the wanted one, or that is repeated, is tested: the tool stops
+(`RESPONSE_HOLD`), and the range must change by the motion that does not take place. If it does not, the tool
+rises (`RESPONSE_LIFT`), and the range must follow. In a longer motion the setpoint is first shifted up by a
+little more than the noise hides. A range that grows by the shift ends the run. An ascent leads away from the
+ground: it is tested by that shift, and then by a greater one, but never held.
 """
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
@@ -29,8 +30,10 @@ SHIFT_BANDS = 2.0  # … by so many bands
 ASCENT_SHARE = 0.25  # of an ascent counts
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
 REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance
-REPEAT_RATIO = 2.0  # in usual runs of repeated ranges, or in means: a longer run is a sign of a fault
-MIN_MEANS = 2.0  # independent means in a run or an answer
+REPEAT_RATIO = 2.0  # in usual runs of repeated ranges: a longer one, of a mean at least, is a sign of a fault
+QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
+USUAL_SPREAD_SAMPLES = 256  # in that deviation
+MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 RUN_SAMPLES = 64  # in the mean of a run, and runs in the usual length of repeated ranges
 MIN_MEAN, MAX_MEAN = 2.0, 8.0  # samples in the mean range: those of a time constant
 BAND_SIGMAS = 3.0  # of the mean: the range has changed; of a sample, which moves the mean by no more
@@ -82,10 +85,20 @@ def _repeats(response):
 
 
 @jit
+def _is_quiet(response):
+    """Whether the ranges have far less than their usual noise."""
+    return response.spread_m < QUIET_SHARE * response.usual_m
+
+
+@jit
 def _update_mean(response, range_m, sigma_m, number):
     """Update the mean of `number` ranges, and that of the run, with a range of standard deviation σ [m]."""
     most_m = BAND_SIGMAS * sigma_m
-    response.mean_m += min(max(range_m - response.mean_m, -most_m), most_m) / number
+    deviation_m = min(max(range_m - response.mean_m, -most_m), most_m)
+    response.mean_m += deviation_m / number
+    response.spread_m += (abs(deviation_m) - response.spread_m) / (2.0 * MIN_MEANS * number)
+    if not _is_quiet(response):  # noise far below the usual one is not learned
+        response.usual_m += (response.spread_m - response.usual_m) / USUAL_SPREAD_SAMPLES
     response.run_samples += 1
     if number < response.run_samples < RUN_SAMPLES:  # its own mean is the better known one
         response.run_range_m += (response.mean_m - response.run_range_m) / response.run_samples
@@ -114,13 +127,13 @@ def is_suspicious(error, motion, rate, band, tau_s, reach):
 
 @jit
 def stop_s(adaptive):
-    """Time from the sample that causes a lift or a shift until the tool has obeyed [s]."""
+    """Time from the sample that causes a hold or a shift until the tool has obeyed [s]."""
     return adaptive.latency.delay_s + STOP_TAUS * adaptive.plant.tau_s
 
 
 @jit
 def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
-    """Shift the setpoint, or lift the tool, in a motion with a constant range that gives cause to it.
+    """Shift the setpoint, or hold the tool, in a motion with a constant range that gives cause to it.
 
     An ascent leads away from the ground: it counts a fourth, and a shift comes first.
 
@@ -137,8 +150,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
     rises = ASCENT_SHARE * ascent > descent and descent < band_m  # it has not turned down since
     response.rate_mps += (abs(adaptive.kinematics.climb_mps) - response.rate_mps) / response.run_samples
-    rate = response.rate_mps
-    repeats = _repeats(response)
+    rate, repeats = response.rate_mps, _repeats(response)
     if response.run_samples <= MIN_MEANS * number:
         return
     if rises and number <= MIN_MEAN and not repeats:  # the ground changes while an answer is awaited
@@ -147,16 +159,17 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     below = abs(adaptive.sample.lead_m) < MIN_LEAD_M
     error = abs(response.run_range_m - standoff_m) if below else 0.0
     wrong = is_suspicious(error, motion, rate, band_m, tau, standoff_m)
-    suspicious = wrong or repeats or adaptive.rotation.phase == ROTATION_FAILED
+    quiet = _is_quiet(response)
+    suspicious = wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED
     suspicious = suspicious and motion > MOTION_BANDS * band_m
     fast = number >= MAX_MEAN  # with fewer samples in τ the ground changes while an answer is awaited
     doubtful = fast and error > LAG_TAUS * tau * rate
     doubtful = doubtful and error * motion > SHIFT_ERROR_MOTION * band_m * standoff_m
     shifts = suspicious or doubtful or motion > SHIFT_DESCENT * standoff_m
-    if shifts and response.lift_m == 0.0 and response.run_samples > REPEAT_RATIO * MIN_MEANS * number:
+    if shifts and response.lift_m == 0.0 and response.run_samples > 2.0 * MIN_MEANS * number:
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
     late = response.lift_m > 0.0 and (t_ns - response.test_ns) * 1e-9 > _answer_s(adaptive, number)
-    response.rises, response.repeated = 1 if rises else 0, 1 if repeats and not wrong else 0
+    response.rises, response.repeated = 1 if rises else 0, 1 if repeats and not (wrong or quiet) else 0
     if rises and late:  # the greater shift stands out from the lag of the axis
         response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
         lift_m = response.lift_m + MOTION_BANDS * band_m + tau * rate
