@@ -53,6 +53,10 @@ class NaiveResponse:
         self.repeats, self.repeated_m = 1, range_m
 
     @property
+    def is_quiet(self) -> bool:
+        return self.usual_m > r.MIN_NOISE_M and self.spread_m < r.QUIET_SHARE * self.usual_m
+
+    @property
     def is_repeated(self) -> bool:
         return self.repeats >= r.MAX_MEAN and self.repeats >= r.REPEAT_RATIO * self.usual_repeats
 
@@ -71,7 +75,7 @@ class NaiveResponse:
         deviation_m = min(abs(step_m), most_m)
         self.mean_m += math.copysign(deviation_m, step_m) / self.number
         self.spread_m += (deviation_m - self.spread_m) / (2.0 * r.MIN_MEANS * self.number)
-        if self.spread_m >= r.QUIET_SHARE * self.usual_m:
+        if not self.is_quiet:
             self.usual_m += (self.spread_m - self.usual_m) / r.USUAL_SPREAD_SAMPLES
         self.in_run += 1
         if self.number < self.in_run < r.RUN_SAMPLES:
@@ -113,7 +117,7 @@ class NaiveResponse:
         work = error_m * motion_m / (self.band_m * self.standoff_m)
         wrong = error_m > self.band_m and no_lag and work > r.ERROR_MOTION
         enough = motion_m > r.MOTION_BANDS * self.band_m
-        quiet = self.spread_m < r.QUIET_SHARE * self.usual_m
+        quiet = self.is_quiet
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
         doubtful = self.number >= r.MAX_MEAN and no_lag and work > r.SHIFT_ERROR_MOTION
         distant = motion_m > r.SHIFT_DESCENT * self.standoff_m

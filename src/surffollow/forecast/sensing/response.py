@@ -86,8 +86,8 @@ def _repeats(response):
 
 @jit
 def _is_quiet(response):
-    """Whether the ranges have far less than their usual noise."""
-    return response.spread_m < QUIET_SHARE * response.usual_m
+    """Whether the ranges have far less than their usual noise, which is not below what the bank assumes."""
+    return response.usual_m > MIN_NOISE_M and response.spread_m < QUIET_SHARE * response.usual_m
 
 
 @jit
