@@ -15,7 +15,6 @@ from surffollow.benchmark.runner import run_method, scene_of, score_run
 from surffollow.benchmark.suite import Cell
 from surffollow.shm.layout_adaptive_sensing import (
     RESPONSE_FAILED,
-    RESPONSE_HOLD,
     RESPONSE_LIFT,
     RESPONSE_RUN,
 )
@@ -232,7 +231,7 @@ def test_a_sensor_that_did_not_respond_and_falls_silent_is_lost_at_once():
 def test_a_reset_ends_a_test():
     f = standard()
     record = f._state["adaptive"][0]["response"]
-    record["phase"], record["t_ns"] = RESPONSE_HOLD, 5
+    record["phase"], record["t_ns"] = RESPONSE_LIFT, 5
     f.reset()
     assert int(record["phase"]) == RESPONSE_RUN
     assert int(record["t_ns"]) == 0

@@ -18,7 +18,7 @@ from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN
 from .feeding import default_params
 
 PHASES = RUN, HOLD, LIFT, NONE
-ESTIMATES = "mean_m", "run_range_m", "noise_m", "usual_m", "top_z_m", "low_z_m"
+ESTIMATES = "mean_m", "run_range_m", "repeats", "usual_repeats", "top_z_m", "low_z_m"
 STANDOFF_M, SIGMA_M, GAP_S = 0.1, 2.5e-4, 0.2
 
 
@@ -56,7 +56,9 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         assert PHASES[record["phase"]] == twin.phase, (seed, k)
         assert is_unresponsive(record) == (twin.phase == NONE)
         in_kernel.append([record[n] for n in ESTIMATES])
-        in_twin.append((twin.mean_m, twin.run_m, twin.noise_m, twin.usual_m, twin.top_z_m, twin.low_z_m))
+        in_twin.append(
+            (twin.mean_m, twin.run_m, twin.repeats, twin.usual_repeats, twin.top_z_m, twin.low_z_m)
+        )
         target = z + STANDOFF_M - read
         lowest, highest = setpoint_range(record, STANDOFF_M)
         asked = min(max(target + setpoint_shift_m(record), lowest), highest)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from surffollow.forecast.sensing.clock import CLOCK_JUMP_NS
+from surffollow.forecast.sensing.clock import LONG_GAP_NS
 from surffollow.shm.layout_adaptive import REASON_NAMES, REASON_TIMESTAMPS
 from surffollow.shm.layout_follow import CHANNELS
 
@@ -58,7 +58,7 @@ class ReferenceTime:
 
     def set_scale(self, scale: float) -> None:
         """Scale the constants: a multiple of the usual reference time, a power of two."""
-        self.jump_ns, self.quantum_ns = CLOCK_JUMP_NS * scale, QUANTUM_NS * scale
+        self.jump_ns, self.quantum_ns = LONG_GAP_NS * scale, QUANTUM_NS * scale
 
     def restart(self, t_ns: int) -> None:
         """Reset the statistics and begin at a time.

@@ -23,7 +23,7 @@ from surffollow.forecast.plant.plant_identification import (
     update_plant,
 )
 from surffollow.forecast.sensing.clock import update_clock
-from surffollow.forecast.sensing.health import forget, is_lost, is_stuck, latch_fault, update_health
+from surffollow.forecast.sensing.health import forget, is_lost, latch_fault, update_health
 from surffollow.forecast.sensing.kinematics import (
     MIN_DIRECTION_SPEED_MPS,
     distance_along,
@@ -195,8 +195,8 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     if not orients and params.n_channels > 1:
         moving = kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS
         observe_lookahead(params, adaptive, sense, moving, pose)
-    stuck = is_stuck(health) or is_unresponsive(adaptive.response)
-    update_health(params, adaptive, sense, stuck)
+    stuck = is_unresponsive(adaptive.response)
+    update_health(params, adaptive, sense)
     if has_jumped(kinematics, clock.now_ns):
         withdraw_preview(adaptive.preview)
         reset_known_ground(adaptive.known)

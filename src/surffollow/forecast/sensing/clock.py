@@ -1,28 +1,34 @@
-"""The follower's time: the latest timestamp of steps and poses."""
+"""The follower's time: the latest timestamp of steps and poses. Means over usual numbers of samples."""
 
 from surffollow.shm.jit import jit
 
 MAX_GAP_NS = 50_000_000  # longer without a sample or report: a drop-out; nothing is extrapolated over it
-CLOCK_JUMP_NS = 1_000_000_000  # late samples are never so late: it is another clock; at the reference time 1
+LONG_GAP_NS = 1_000_000_000  # reports so far apart are of two motions, timestamps of two clocks
+CONFIRMATION_SAMPLES = 3  # in a row are no chance: near the fold-back, or with a timestamp that goes back
+USUAL_SAMPLES = 20  # in the usual value of a delay, an interval, a distance
 
 
 @jit
 def clock_jump_ns(scaled):
-    """The same in nanoseconds of the inputs.
+    """Time beyond which a timestamp belongs to another clock, in nanoseconds of the inputs.
 
     Parameters
     ----------
     scaled : record of `ScaledState`  read only
     """
-    return CLOCK_JUMP_NS << scaled.shift if scaled.shift >= 0 else CLOCK_JUMP_NS >> -scaled.shift
+    return LONG_GAP_NS << scaled.shift if scaled.shift >= 0 else LONG_GAP_NS >> -scaled.shift
 
 
 @jit
 def update_clock(clock, t_ns, pose_t_ns):
     """Advance the time to the latest timestamp; whether the clock jumped back, which is followed."""
     t = max(t_ns, pose_t_ns)
-    jumped = t < clock.now_ns - CLOCK_JUMP_NS
-    if jumped:
-        clock.now_ns = t
-    clock.now_ns = max(clock.now_ns, t)
+    jumped = t < clock.now_ns - LONG_GAP_NS
+    clock.now_ns = t if jumped else max(clock.now_ns, t)
     return jumped
+
+
+@jit
+def follow_usual(usual, value):
+    """Usual value after one more; it is the first one while it is 0, not known."""
+    return usual + (value - usual) / USUAL_SAMPLES if usual != 0.0 else value

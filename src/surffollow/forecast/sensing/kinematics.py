@@ -3,21 +3,20 @@
 import math
 
 from surffollow.forecast.pose import pose_at
-from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.sensing.clock import LONG_GAP_NS, MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
 # over which the lateral velocity is taken: noise averages out; reports farther apart show no jump
 SPEED_WINDOW_NS = 100_000_000
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
-MAX_POSE_GAP_NS = 1_000_000_000  # a report older than the newest by this belongs to another motion
 MAX_JUMP_M = 0.02  # distance between two reports beyond the velocity: more is a jump of the frame
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
 
 @jit
 def oldest_pose_within(sense, window_ns, first_pose):
-    """Slot of the newest pose report that is at least `window_ns` older than the newest one.
+    """Count of the newest pose report that is at least `window_ns` older than the newest one.
 
     Reports from before a long gap, or before the report `first_pose`, do not count; the newest one may be
     the only one.
@@ -27,9 +26,28 @@ def oldest_pose_within(sense, window_ns, first_pose):
     t = sense.pose_t_ns[k & (POSES - 1)]
     while k > oldest and t - sense.pose_t_ns[k & (POSES - 1)] < window_ns:
         k -= 1
-    if t - sense.pose_t_ns[k & (POSES - 1)] > MAX_POSE_GAP_NS:
-        k += 1
-    return k & (POSES - 1)
+    return k + 1 if t - sense.pose_t_ns[k & (POSES - 1)] > LONG_GAP_NS else k
+
+
+@jit
+def velocity_between(sense, first, last):
+    """Mean velocity between two pose reports [m/s], and the time between them [s]; 0 for one report.
+
+    Parameters
+    ----------
+    sense : record of `SenseState`
+    first, last : int  counts of the reports
+
+    Returns
+    -------
+    4 × float64
+    """
+    a, b = first & (POSES - 1), last & (POSES - 1)
+    dt = (sense.pose_t_ns[b] - sense.pose_t_ns[a]) * 1e-9
+    if not dt > 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    way_x, way_y = sense.pose[7 * b] - sense.pose[7 * a], sense.pose[7 * b + 1] - sense.pose[7 * a + 1]
+    return way_x / dt, way_y / dt, (sense.pose[7 * b + 2] - sense.pose[7 * a + 2]) / dt, dt
 
 
 @jit
@@ -40,37 +58,28 @@ def note_jump(params, kinematics, sense):
     speed agrees with the latter from its second report on. A vertical jump disagrees with the velocity by
     more than the axis can change its way in that time, 2 · v_max · Δt.
     """
-    n = sense.pose_count
-    last, previous = (n - 1) & (POSES - 1), (n - 2) & (POSES - 1)
-    span_ns = sense.pose_t_ns[last] - sense.pose_t_ns[previous]
-    if not 0 < span_ns <= SPEED_WINDOW_NS:
+    last = sense.pose_count - 1
+    vx, vy, vz, dt = velocity_between(sense, last - 1, last)
+    if not 0.0 < dt <= SPEED_WINDOW_NS * 1e-9:
         return False
-    dt = span_ns * 1e-9
-    way_x = sense.pose[7 * last] - sense.pose[7 * previous]
-    way_y = sense.pose[7 * last + 1] - sense.pose[7 * previous + 1]
-    dx, dy = way_x - kinematics.velocity_x_mps * dt, way_y - kinematics.velocity_y_mps * dt
-    square = dx * dx + dy * dy
-    before = (n - 3) & (POSES - 1)
-    span_before_ns = sense.pose_t_ns[previous] - sense.pose_t_ns[before] if n > 2 else 0
-    if 0 < span_before_ns <= SPEED_WINDOW_NS:
-        ratio = span_ns / span_before_ns
-        dx = way_x - ratio * (sense.pose[7 * previous] - sense.pose[7 * before])
-        dy = way_y - ratio * (sense.pose[7 * previous + 1] - sense.pose[7 * before + 1])
-        square = min(square, dx * dx + dy * dy)
-    dz = sense.pose[7 * last + 2] - sense.pose[7 * previous + 2] - kinematics.climb_mps * dt
-    climbed = abs(dz) > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * dt)
-    if not climbed and square <= MAX_JUMP_M * MAX_JUMP_M:
+    aside = math.hypot(vx - kinematics.velocity_x_mps, vy - kinematics.velocity_y_mps) * dt
+    if last > 1:
+        before_x, before_y, _, before_s = velocity_between(sense, last - 2, last - 1)
+        if 0.0 < before_s <= SPEED_WINDOW_NS * 1e-9:
+            aside = min(aside, math.hypot(vx - before_x, vy - before_y) * dt)
+    climbed = abs(vz - kinematics.climb_mps) * dt > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * dt)
+    if not climbed and aside <= MAX_JUMP_M:
         return False
-    kinematics.jump_pose, kinematics.jump_ns = n - 1, sense.pose_t_ns[last]
+    kinematics.jump_pose, kinematics.jump_ns = last, sense.pose_t_ns[last & (POSES - 1)]
     if climbed:
-        kinematics.climb_jump_pose = kinematics.jump_pose
+        kinematics.climb_jump_pose = last
     return True
 
 
 @jit
 def has_jumped(kinematics, now_ns):
     """Whether the reported position has jumped within the last second."""
-    return kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < MAX_POSE_GAP_NS
+    return kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < LONG_GAP_NS
 
 
 @jit
@@ -80,20 +89,15 @@ def update_kinematics(params, kinematics, sense):
         return False
     jumped = kinematics.pose_count > 0 and note_jump(params, kinematics, sense)
     kinematics.pose_count = sense.pose_count
-    last, jump = (sense.pose_count - 1) & (POSES - 1), kinematics.jump_pose
-    first = oldest_pose_within(sense, SPEED_WINDOW_NS, jump)
-    near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump)
-    if first == last and sense.pose_count - 1 == jump and jump > 0:
+    last, jump = sense.pose_count - 1, kinematics.jump_pose
+    if last == jump and jump > 0:
         return jumped  # the velocity is that before the jump
-    kinematics.velocity_x_mps = kinematics.velocity_y_mps = kinematics.speed_mps = kinematics.climb_mps = 0.0
-    if first == last:
-        return jumped
-    dt = (sense.pose_t_ns[last] - sense.pose_t_ns[first]) * 1e-9
-    kinematics.velocity_x_mps = (sense.pose[7 * last] - sense.pose[7 * first]) / dt
-    kinematics.velocity_y_mps = (sense.pose[7 * last + 1] - sense.pose[7 * first + 1]) / dt
-    kinematics.speed_mps = math.sqrt(kinematics.velocity_x_mps**2 + kinematics.velocity_y_mps**2)
-    dt = (sense.pose_t_ns[last] - sense.pose_t_ns[near]) * 1e-9
-    kinematics.climb_mps = (sense.pose[7 * last + 2] - sense.pose[7 * near + 2]) / dt
+    first = oldest_pose_within(sense, SPEED_WINDOW_NS, jump)
+    vx, vy, _, _ = velocity_between(sense, first, last)
+    kinematics.velocity_x_mps, kinematics.velocity_y_mps = vx, vy
+    kinematics.speed_mps = math.sqrt(vx**2 + vy**2)
+    near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump)
+    _, _, kinematics.climb_mps, _ = velocity_between(sense, near, last)
     return jumped
 
 

@@ -8,19 +8,18 @@ used: there climb rate and terrain are correlated.
 
 import math
 
+from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import pose_at
+from surffollow.forecast.sensing.clock import USUAL_SAMPLES
+from surffollow.forecast.sensing.kinematics import CLIMB_WINDOW_NS
 from surffollow.shm.jit import jit
 
-PRIOR_S = 0.03  # standard deviation of the configured latency
-HALF_SPAN_NS = 15_000_000  # climb rate at a sample: between the poses so long before and after
-MIN_SAMPLES = 20  # fewer give no significant regression
+PRIOR_S = 0.03  # standard deviation of the latency before a rest
 MAX_SAMPLES = 500  # samples after which a rest is concluded
 MIN_CLIMB_RMS_MPS = 0.015  # RMS deviation of the climb rate: less identifies nothing
 OUTLIER_GATE_M = 8e-3  # heights so far from the mean are glitches
 MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
 RESIDUAL_LIMIT_M = 0.5e-3  # left by the regression, beyond the noise: the ground was not one spot
-DRIFT_S = 1e-3  # standard deviation of the latency's drift between two rests
-USUAL_VALUE_RATE = 0.05  # of the usual delay, lead and spacing, per sample
 LEAST_DELAY_S = 20.0  # time constant of the least delay, which grows: clocks drift by 100 ppm
 LATE_TAUS = 2.0  # usual beyond least delay: ground seen so late is behind the tool, and the axis moved since
 
@@ -29,18 +28,16 @@ LATE_TAUS = 2.0  # usual beyond least delay: ground seen so late is behind the t
 def reset_window(latency):
     """Begin a new rest."""
     latency.count = 0
-    latency.mean_climb_mps = latency.mean_height_m = latency.climb_climb = latency.climb_height = (
-        latency.height_height
-    ) = 0.0
+    latency.mean_climb_mps = latency.mean_height_m = 0.0
+    latency.climb_climb = latency.climb_height = latency.height_height = 0.0
 
 
 @jit
 def update_delay(latency, delay_s, interval_s):
     """Update the usual and the least delay with that of a sample, at the usual interval [s]."""
-    latency.delay_s += USUAL_VALUE_RATE * (delay_s - latency.delay_s)
-    if latency.least_s == 0.0 or delay_s < latency.least_s:
-        latency.least_s = delay_s
-    latency.least_s += min(interval_s / LEAST_DELAY_S, 1.0) * (delay_s - latency.least_s)
+    latency.delay_s += (delay_s - latency.delay_s) / USUAL_SAMPLES
+    least_s = min(latency.least_s, delay_s) if latency.least_s != 0.0 else delay_s
+    latency.least_s = least_s + min(interval_s / LEAST_DELAY_S, 1.0) * (delay_s - least_s)
 
 
 @jit
@@ -63,7 +60,7 @@ def reset_delay(latency):
 @jit
 def discard_correction(latency):
     """Discard the correction and begin a new rest."""
-    latency.correction_s = latency.sigma_s = 0.0
+    latency.correction_s = 0.0
     reset_window(latency)
 
 
@@ -82,18 +79,14 @@ def update_correction(adaptive, adapt):
     """Let the regression of a rest enter the correction, and begin a new rest."""
     latency = adaptive.latency
     n = latency.count
-    if adapt and n >= MIN_SAMPLES and latency.climb_climb > n * MIN_CLIMB_RMS_MPS * MIN_CLIMB_RMS_MPS:
-        delta = latency.climb_height / latency.climb_climb
-        residual = math.sqrt(max(latency.height_height - delta * latency.climb_height, 0.0) / n)
-        noise = max(adaptive.noise.sigma_m, 1e-4)
-        if abs(delta) < MAX_CORRECTION_S and residual < 3.0 * noise + RESIDUAL_LIMIT_M:
+    if adapt and n >= USUAL_SAMPLES and latency.climb_climb > n * MIN_CLIMB_RMS_MPS**2:
+        delta_s = latency.climb_height / latency.climb_climb
+        residual = math.sqrt(max(latency.height_height - delta_s * latency.climb_height, 0.0) / n)
+        noise = max(adaptive.noise.sigma_m, MIN_NOISE_M)
+        if abs(delta_s) < MAX_CORRECTION_S and residual < 3.0 * noise + RESIDUAL_LIMIT_M:
             var = max(residual, noise) ** 2 / latency.climb_climb
-            prior = PRIOR_S if latency.sigma_s == 0.0 else math.sqrt(latency.sigma_s**2 + DRIFT_S**2)
-            gain = prior * prior / (prior * prior + var)
-            latency.correction_s = min(
-                max(latency.correction_s + gain * delta, -MAX_CORRECTION_S), MAX_CORRECTION_S
-            )
-            latency.sigma_s = math.sqrt((1.0 - gain) * prior * prior)
+            corrected_s = latency.correction_s + PRIOR_S**2 / (PRIOR_S**2 + var) * delta_s
+            latency.correction_s = min(max(corrected_s, -MAX_CORRECTION_S), MAX_CORRECTION_S)
     reset_window(latency)
 
 
@@ -111,22 +104,18 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     pose : (7,) float64  scratch
     """
     latency = adaptive.latency
-    if not at_rest:
-        if latency.count > 0:
-            update_correction(adaptive, adapt)
-        return
-    pose_at(sense, t_ns - HALF_SPAN_NS, 1, pose)
-    z = pose[2]
-    pose_at(sense, t_ns + HALF_SPAN_NS, 1, pose)
-    climb = (pose[2] - z) / (2e-9 * HALF_SPAN_NS)
-    if latency.count > 0 and abs(h_m - latency.mean_height_m) > OUTLIER_GATE_M:
-        return
-    latency.count += 1
-    dc, dh = climb - latency.mean_climb_mps, h_m - latency.mean_height_m
-    latency.mean_climb_mps += dc / latency.count
-    latency.mean_height_m += dh / latency.count
-    latency.climb_climb += dc * (climb - latency.mean_climb_mps)
-    latency.climb_height += dc * (h_m - latency.mean_height_m)
-    latency.height_height += dh * (h_m - latency.mean_height_m)
-    if latency.count >= MAX_SAMPLES:
+    near = latency.count == 0 or abs(h_m - latency.mean_height_m) <= OUTLIER_GATE_M
+    if at_rest and near:
+        pose_at(sense, t_ns - CLIMB_WINDOW_NS // 2, 1, pose)
+        z = pose[2]
+        pose_at(sense, t_ns + CLIMB_WINDOW_NS // 2, 1, pose)
+        climb = (pose[2] - z) / (1e-9 * CLIMB_WINDOW_NS)
+        latency.count += 1
+        dc, dh = climb - latency.mean_climb_mps, h_m - latency.mean_height_m
+        latency.mean_climb_mps += dc / latency.count
+        latency.mean_height_m += dh / latency.count
+        latency.climb_climb += dc * (climb - latency.mean_climb_mps)
+        latency.climb_height += dc * (h_m - latency.mean_height_m)
+        latency.height_height += dh * (h_m - latency.mean_height_m)
+    if not at_rest or latency.count >= MAX_SAMPLES:
         update_correction(adaptive, adapt)

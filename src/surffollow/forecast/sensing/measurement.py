@@ -5,7 +5,7 @@ range → pose at the range's timestamp → footprint → latency, health, plane
 
 import math
 
-from surffollow.forecast.attitude.beam_detection import any_beam_changed, observe_beams, release_beams
+from surffollow.forecast.attitude.beam_detection import observe_beams, release_beams
 from surffollow.forecast.attitude.plane_fit import plane_height
 from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation, reset_rotation
 from surffollow.forecast.estimation.adaptation import update_deadband
@@ -13,17 +13,10 @@ from surffollow.forecast.estimation.estimate import discard_estimate, turn_estim
 from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.fold_back import watch_fold_back
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.sensing.clock import MAX_GAP_NS
-from surffollow.forecast.sensing.health import (
-    count_close,
-    dropout_tolerance_s,
-    is_stuck,
-    is_stuck_permanently,
-    repeats_range,
-    update_stuck,
-)
+from surffollow.forecast.sensing.clock import MAX_GAP_NS, follow_usual
+from surffollow.forecast.sensing.health import count_close, dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, distance_along, predict_pose
-from surffollow.forecast.sensing.latency_identification import USUAL_VALUE_RATE, observe_height, update_delay
+from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.response import is_unresponsive, observe_response
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
@@ -77,8 +70,11 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
         ahead = distance_along(kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
         if compare_known_ground(adaptive, inputs, ahead, h):
             withdraw_preview(adaptive.preview)
-    if not enter_sample(params, adaptive, t, travel, h, standoff, adapt):
+    if not update_estimate(params, adaptive, t, travel, h, standoff, adapt):
         return
+    observe_ground(adaptive, h, adapt)
+    if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
+        update_deadband(params, adaptive)
     if not orients:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, h
@@ -129,21 +125,18 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
     -------
     bool, int64 [ns]
     """
-    health, response, beams, hold = adaptive.health, adaptive.response, adaptive.beams, adaptive.hold
+    response = adaptive.response
     update_prediction(adaptive.prediction, t_ns, range_m)
-    changed = orients and any_beam_changed(beams, params.n_channels, hold.t_ns)
-    repeated = repeats_range(health, range_m) and not changed
-    record_sample(hold, t_ns, range_m)
+    record_sample(adaptive.hold, t_ns, range_m)
     if not orients:  # beams have timestamps of their own, without correction
         t_ns -= int(adaptive.latency.correction_s * 1e9)
     update_delay(adaptive.latency, (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.prediction.interval_s)
     predict_pose(adaptive.kinematics, sense, t_ns, pose)
-    was_stuck = is_stuck_permanently(adaptive) or is_unresponsive(response)
-    update_stuck(adaptive, repeated, range_m, pose[2])
+    was_stuck = is_unresponsive(response)
     gap_s = dropout_tolerance_s(adaptive.prediction) + MAX_GAP_NS * 1e-9
-    mean_m = mean_range(beams, params.n_channels, t_ns, range_m) if orients else range_m
+    mean_m = mean_range(adaptive.beams, params.n_channels, t_ns, range_m) if orients else range_m
     observe_response(params, adaptive, t_ns, mean_m, pose[2], gap_s)
-    responds = not (is_stuck(health) or is_unresponsive(response))
+    responds = not is_unresponsive(response)
     if was_stuck and responds:
         discard_estimate(adaptive.estimate)
     return responds, t_ns
@@ -191,26 +184,14 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
     if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
         gap_x, gap_y = x_m - pose[0] - sample.tip_x_m, y_m - pose[1] - sample.tip_y_m
         lead = distance_along(kinematics, gap_x, gap_y)
-        known = estimate.samples > 0 and sample.lead_m != 0.0  # a tool that starts at rest has none
-        sample.lead_m += (lead - sample.lead_m) * (USUAL_VALUE_RATE if known else 1.0)
+        sample.lead_m = follow_usual(sample.lead_m if estimate.samples > 0 else 0.0, lead)
     travel = kinematics.speed_mps * (t_ns - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
     if estimate.samples > 0 and is_slow(adaptive):  # the tool may have turned since the sample before
         travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
-    sample.spacing_m += USUAL_VALUE_RATE * (travel - sample.spacing_m)
+    sample.spacing_m = follow_usual(sample.spacing_m, travel)
     sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, estimate.arc_length_m + travel
     return travel
-
-
-@jit
-def enter_sample(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
-    """Update the estimate and what depends on it, as in `update_estimate`; whether the sample entered."""
-    if not update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
-        return False
-    observe_ground(adaptive, h_m, adapt)
-    if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
-        update_deadband(params, adaptive)
-    return True
 
 
 @jit
@@ -243,16 +224,16 @@ def follow_heading(adaptive, x_m, y_m):
         way = math.hypot(way_x, way_y)
         if way <= MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s:
             return
-        if sample.heading_x != 0.0 or sample.heading_y != 0.0:
-            turn_estimate(adaptive, along / way)
-        if along < 0.0:
-            sample.lead_m = -sample.lead_m
-        sample.heading_x, sample.heading_y = way_x / way, way_y / way
-        return
-    if known and has_turned_back(adaptive):
-        if along >= 0.0:
+        turned = sample.heading_x != 0.0 or sample.heading_y != 0.0
+        heading_x, heading_y, cosine = way_x / way, way_y / way, along / way
+    else:
+        turned = known and has_turned_back(adaptive)
+        if turned and along >= 0.0:
             return  # the footprint is still ahead of the one before
-        turn_estimate(adaptive, -1.0)
-        sample.lead_m = -sample.lead_m
-    sample.heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
-    sample.heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
+        heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
+        heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
+        cosine = -1.0
+    if turned:
+        turn_estimate(adaptive, cosine)
+        sample.lead_m = -sample.lead_m if cosine < 0.0 else sample.lead_m
+    sample.heading_x, sample.heading_y = heading_x, heading_y

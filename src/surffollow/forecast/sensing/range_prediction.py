@@ -6,15 +6,13 @@ time constant d. The forecast of a horizon h is l + b · d · (1 − exp(−h/d)
 
 import math
 
+from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit
 
 # time constants of level, trend and decay, in usual intervals: the best of a grid on half of a flight's log
 LEVEL, TREND, DECAY = 0.36, 2.4, 9.0
 MIN_UNIT_S = 0.16  # in place of shorter intervals, 4 τ: their noise averages out
-INTERVAL_RATE = 0.1  # of the usual interval, per sample
 GATE_SCALES = 8.0  # in usual innovations
-SCALE_RATE = 0.05  # of the usual innovation, per sample
-MIN_SCALE_M = 1e-6  # of a sensor without noise
 GAP_INTERVALS = 5.0  # usual intervals, or seconds if that is more: begin at the next range
 
 
@@ -38,27 +36,22 @@ def update_prediction(prediction, t_ns, range_m):
         prediction.level_m, prediction.trend_mps = range_m, 0.0
         prediction.t_ns, prediction.rejected = t_ns, 0
         return
-    prediction.interval_s += (INTERVAL_RATE if prediction.interval_s > 0.0 else 1.0) * (
-        dt - prediction.interval_s
-    )
+    prediction.interval_s = follow_usual(prediction.interval_s, dt)
     unit_s = time_unit_s(prediction)
     expected_m = prediction.level_m + prediction.trend_mps * damped_time(dt, DECAY * unit_s)
     innovation = range_m - expected_m
-    outlier = (
-        abs(innovation) > GATE_SCALES * max(prediction.scale_m, MIN_SCALE_M) and prediction.scale_m > 0.0
-    )
+    outlier = abs(innovation) > GATE_SCALES * prediction.scale_m > 0.0
     if outlier and prediction.rejected < 1:
-        prediction.rejected += 1
+        prediction.rejected = 1
         return
     prediction.rejected = 0
-    rate = SCALE_RATE if prediction.scale_m > 0.0 else 1.0
-    prediction.scale_m += rate * (1.25 * abs(innovation) - prediction.scale_m)
-    shift_m = innovation if outlier else 0.0
-    level_m = expected_m + shift_m + (1.0 - math.exp(-dt / (LEVEL * unit_s))) * (innovation - shift_m)
-    rate_mps = (level_m - shift_m - prediction.level_m) / dt
+    prediction.scale_m = follow_usual(prediction.scale_m, 1.25 * abs(innovation))
+    if not outlier:
+        expected_m += (1.0 - math.exp(-dt / (LEVEL * unit_s))) * innovation
+    rate_mps = (expected_m - prediction.level_m) / dt
     prediction.trend_mps *= math.exp(-dt / (DECAY * unit_s))
     prediction.trend_mps += (1.0 - math.exp(-dt / (TREND * unit_s))) * (rate_mps - prediction.trend_mps)
-    prediction.level_m, prediction.t_ns = level_m, t_ns
+    prediction.level_m, prediction.t_ns = range_m if outlier else expected_m, t_ns
 
 
 @jit

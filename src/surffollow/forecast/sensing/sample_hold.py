@@ -3,11 +3,11 @@
 A sensor holds each value for a while, and the converter reads it many times.
 """
 
+from surffollow.forecast.sensing.clock import CONFIRMATION_SAMPLES
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
 HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample
-BACKWARD_SAMPLES = 3  # timestamps in a row before that of the newest sample: they are wrong
 
 
 @jit
@@ -80,7 +80,7 @@ def observe_timestamp(adaptive, t_ns):
         hold.shift_ns = 0
     t = t_ns + hold.shift_ns
     hold.backward = hold.backward + 1 if hold.t_ns != 0 and t < hold.t_ns else 0
-    if hold.backward >= BACKWARD_SAMPLES:
+    if hold.backward >= CONFIRMATION_SAMPLES:
         shift_ns = hold.t_ns + int(hold.backward * adaptive.prediction.interval_s * 1e9) - t_ns
         hold.backward = 0
         if delay_ns >= usual_ns + shift_ns // 2:

@@ -15,11 +15,11 @@ UNSEEN_RISE = 3.0  # in stand-offs: over unseen ground a tool that a fault may h
 
 @jit
 def setpoint_shift_m(response):
-    """Height by which the setpoint is shifted up in a run, and in the test of an ascent [m].
+    """Height by which the setpoint is shifted up in a run, and in a lift from an ascent [m].
 
     Blend and plan are shifted alike.
     """
-    shifted = response.phase == RESPONSE_RUN or (response.phase == RESPONSE_LIFT and response.rate_mps < 0.0)
+    shifted = response.phase == RESPONSE_RUN or (response.phase == RESPONSE_LIFT and response.rises != 0)
     return response.lift_m if shifted else 0.0
 
 
@@ -27,8 +27,8 @@ def setpoint_shift_m(response):
 def setpoint_range(response, standoff_m):
     """Lowest and highest setpoint that the test permits; ∓∞: no limit.
 
-    In the test of a descent the tool does not descend. A tool that a range without response led up rises by
-    `UNSEEN_RISE` stand-offs more at most.
+    In a test the tool does not descend. One that a range without response led up rises by `UNSEEN_RISE`
+    stand-offs more at most.
 
     Parameters
     ----------
@@ -40,11 +40,8 @@ def setpoint_range(response, standoff_m):
     2 × float64 [m]
     """
     lowest_m, highest_m = -math.inf, math.inf
-    if response.rate_mps < 0.0:
-        if response.phase == RESPONSE_FAILED:
-            highest_m = response.test_z_m + UNSEEN_RISE * standoff_m
-    elif response.phase == RESPONSE_HOLD:
-        lowest_m = response.test_z_m
-    elif response.phase == RESPONSE_LIFT:
-        lowest_m = response.test_z_m + response.lift_m
+    if response.phase == RESPONSE_HOLD or response.phase == RESPONSE_LIFT:
+        lowest_m = response.test_z_m + (response.lift_m if response.rises == 0 else 0.0)
+    elif response.phase == RESPONSE_FAILED and response.rises != 0:
+        highest_m = response.test_z_m + UNSEEN_RISE * standoff_m
     return lowest_m, highest_m
