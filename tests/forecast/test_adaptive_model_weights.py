@@ -18,8 +18,8 @@ from surffollow.forecast.estimation.model_bank import (
     WAVE,
 )
 from surffollow.forecast.estimation.model_weights import (
-    EFFORT_POWER,
     FULL_POWER_SAMPLES,
+    ROUGH_EFFORT_POWER,
     WEIGHT_TIME_CONSTANT_S,
     update_weights,
 )
@@ -32,7 +32,7 @@ from .feeding import default_params
 
 NOISE_M = 2.5e-4
 OLD, NEW = 0, 2
-CALM = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == 0.2))[0])
+CALM = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == 0.12))[0])
 AT_ONCE_S = 10.0
 
 
@@ -119,9 +119,16 @@ def test_the_effort_is_the_mean_squared_acceleration_of_the_recorded_setpoints()
     assert a["shadow"]["effort"][OLD] == a["shadow"]["log_effort"][OLD] == 0.0
 
 
-def test_of_two_models_that_fit_alike_the_one_with_less_effort_has_the_weight():
-    for rms_m in (NOISE_M, 20.0 * NOISE_M):
-        assert effort_odds(rms_m, FULL_POWER_SAMPLES) == pytest.approx(101.0**EFFORT_POWER, rel=0.05)
+def test_of_two_models_that_fit_rough_ground_alike_the_one_with_less_effort_has_the_weight():
+    assert effort_odds(20.0 * NOISE_M, FULL_POWER_SAMPLES) == pytest.approx(
+        101.0**ROUGH_EFFORT_POWER, rel=0.05
+    )
+    assert effort_odds(20.0 * NOISE_M, FULL_POWER_SAMPLES // 4) < 101.0**ROUGH_EFFORT_POWER
+
+
+def test_the_effort_penalty_is_greatest_during_burn_in():
+    assert effort_odds(NOISE_M, FULL_POWER_SAMPLES // 4) > 1e5
+    assert effort_odds(NOISE_M, FULL_POWER_SAMPLES // 4) > effort_odds(NOISE_M, 3 * FULL_POWER_SAMPLES // 4)
 
 
 def fine_log_odds(scored: int) -> float:

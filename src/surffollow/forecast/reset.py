@@ -7,6 +7,7 @@ from surffollow.forecast.setpoint.setpoint_limits import release_setpoint
 from surffollow.forecast.terrain.preview import withdraw_preview
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive import DROPOUT, REASON_NO_READING
 from surffollow.shm.layout_follow import FollowState
 
 _ADAPTIVE_AT, _ADAPTIVE_WORDS = FollowState.offset("adaptive"), FollowState.field("adaptive").size // 8
@@ -25,7 +26,7 @@ def begin_anew(state, fault):
     faults = health.faults | fault
     for k in range(_ADAPTIVE_WORDS):
         at.store_relaxed_i64(address + 8 * k, 0)
-    health.faults = faults
+    health.faults, health.state, health.reason = faults, DROPOUT, REASON_NO_READING
 
 
 @jit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from surffollow.shm.schema import F64, I64, Schema
 
-N_MODELS = 16  # of the bank
+N_MODELS = 20  # of the bank
 N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each

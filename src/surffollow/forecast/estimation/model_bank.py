@@ -22,18 +22,17 @@ from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 SLOPE, CURVE, WAVE = 0, 1, 2
 STRAIGHT_M = 1e3  # slopes that do not decay
-BAND = math.sqrt(2.0)  # a wave number stays within this factor: waves are an octave apart
+BAND = 2.0**0.25  # a wave number stays within this factor: waves are half an octave apart
 LOOP_SHARE = 0.25  # of the gain of the phase, in that of the wave number: the loop is critically damped …
 MAX_LOOP_SHARE = 1.0 / math.pi  # … and changes ω by no more per correction of the phase by 1 rad
 WAVE_VARIANCE_M2 = 1e-5  # of an amplitude at the start
 # rows of kind, scale, noise of slope, curvature or a wave's amplitude, noise of height
 BANK = np.array(
-    [(SLOPE, STRAIGHT_M, 0.0, qh) for qh in (3e-5, 2e-3)]
-    + [(SLOPE, STRAIGHT_M, qs, 1e-5) for qs in (0.02, 0.2, 2.0)]
-    + [(SLOPE, STRAIGHT_M, 0.4, 3e-3)]
+    [(SLOPE, STRAIGHT_M, 0.0, qh) for qh in (3e-5, 3e-4, 2e-3)]
+    + [(SLOPE, STRAIGHT_M, qs, 1e-5) for qs in (0.01, 0.12, 1.4)]
     + [(SLOPE, length_m, qs, 1e-3) for length_m, qs in ((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))]
     + [(CURVE, 0.3, qc, 1e-5) for qc in (3.0, 20.0, 150.0)]
-    + [(WAVE, 2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in (0.48, 0.24, 0.12, 0.06)]
+    + [(WAVE, 2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in 0.6 * BAND ** (-2.0 * np.arange(8))]
 )
 assert len(BANK) == N_MODELS
 KIND = BANK[:, 0].astype(np.int64)

@@ -24,7 +24,9 @@ MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
 FULL_POWER_SAMPLES = 500  # for the full power of the index
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[KIND]
-EFFORT_POWER = 0.8  # the smoother of two equal models is better
+# power of the effort: on rough ground the smoother of two equal models is better, and during
+# burn-in a model that follows the noise may fit by chance
+ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
 # phase of a wave between two samples: from π on it is an alias of a longer one
 MAX_WAVE_PHASE, EXCLUDED = 2.0 * math.pi / 3.0, 1e300
 INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
@@ -89,6 +91,7 @@ def compute_costs(params, adaptive):
     s = noise_fraction(least_j, noise_m)
     alpha, p_l = weights.scored / FULL_POWER_SAMPLES, params.long_power
     p_j = p_l + (params.score_power - p_l) * (s * s * alpha * alpha)
+    p_e = ROUGH_EFFORT_POWER * ((1.0 - s) * (1.0 - s)) + BURN_IN_EFFORT_POWER * s * s * (1.0 - alpha)
     noise_j = params.noise_share * min(noise_m * noise_m, least_j)
     noise_l = params.noise_share * min(noise_m * noise_m, least_l)
     floor = params.score_floor_m * params.score_floor_m
@@ -96,7 +99,7 @@ def compute_costs(params, adaptive):
     for i in range(N_MODELS):
         c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
-        c += EFFORT_POWER * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
+        c += p_e * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
         is_alias = i >= WAVES and SCALE[i] * spacing_m > MAX_WAVE_PHASE
         weights.cost[i] = EXCLUDED if is_alias else c
 

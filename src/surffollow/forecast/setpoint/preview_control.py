@@ -7,12 +7,13 @@ It is solved by the alternating direction method of multipliers (ADMM): one pent
 a clip, a fixed number of times, warm-started from the last period. Extrapolated ground beyond the known piece
 has half the weight, so that the axis does not arrive there too fast; ground farther on has none.
 
-The setpoint does not lead the axis below the ground that the tool reaches within the axis' time constant: the
-plan of least squares alone would begin to descend long before an edge.
+The axis must be able to stop above the lowest ground known until then: the plan of least squares alone would
+begin to descend long before an edge.
 """
 
 from surffollow.forecast.plant.axis_model import PERIOD_S, invert_axis
-from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M
+from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
+from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
@@ -123,6 +124,28 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
 
 
 @jit
+def least_speed(params, adaptive, known, z_m, standoff_m):
+    """Velocity from which the axis can stop above the lowest ground known until then, ≤ 0 [m/s].
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState`
+    known : int           known periods of ground
+    z_m : float64         position of the axis now [m]
+    standoff_m : float64  desired height of the tool above the ground [m]
+    """
+    ground_m, brake_mps2 = adaptive.preview.ground_m, ACCELERATION_SHARE * params.plant_a_max_mps2
+    late = int(CELL_M / max(adaptive.kinematics.speed_mps * PERIOD_S, CELL_M / HORIZON))
+    lowest, least = ground_m[0], -params.plant_v_max_mps
+    for k in range(1, known):
+        lowest = min(lowest, ground_m[max(k - late, 0)])  # the place of an edge is known to a cell
+        room = max(z_m - lowest - standoff_m + MAX_UNCONFIRMED_DESCENT_M, 0.0)
+        braking_s = (k - 1) * PERIOD_S  # it brakes from the next period on
+        least = max(least, -(room + 0.5 * brake_mps2 * braking_s * braking_s) / (k * PERIOD_S))
+    return least
+
+
+@jit
 def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     """Solve the plan and invert the axis model: setpoint of the coming period.
 
@@ -133,10 +156,6 @@ def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     z_m, v_mps : float64  axis at the latch time [m, m/s]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    plan, tau_s = adaptive.plan, adaptive.plant.tau_s
     speed = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
-    lowest = adaptive.preview.ground_m[0]
-    for k in range(1, min(known, 2 + round(tau_s / PERIOD_S))):
-        lowest = min(lowest, adaptive.preview.ground_m[k])
-    early = lowest + standoff_m - DISAGREEMENT_M
-    plan.setpoint_m = max(invert_axis(params, tau_s, z_m, v_mps, speed), early)
+    speed = max(speed, least_speed(params, adaptive, known, z_m, standoff_m))
+    adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)

@@ -138,14 +138,18 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     direction = 1.0 if e >= 0.0 else -1.0
     gentle = e < 0.0 and (setpoint.approaching != 0 or may_be_slot(params, adaptive.gate))
     factor = params.toward_factor if gentle else 1.0
+    v_max, a_max = params.max_speed_mps, params.max_accel_mps2
+    if adaptive.preview.share == 0.0:  # setpoints of a plan are far ahead of the axis, which responds sooner
+        v_max = min(v_max, VELOCITY_RATIO * params.plant_v_max_mps)
+        a_max = min(a_max, ACCELERATION_RATIO * params.plant_a_max_mps2)
     accel = direction * next_acceleration(
         direction * e,
         direction * setpoint.velocity_mps,
         direction * setpoint.acceleration_mps2,
         dt_s,
         dt_s if setpoint.min_interval_s == 0.0 else min(dt_s, max(setpoint.min_interval_s, MIN_INTERVAL_S)),
-        factor * min(params.max_speed_mps, VELOCITY_RATIO * params.plant_v_max_mps),
-        factor * min(params.max_accel_mps2, ACCELERATION_RATIO * params.plant_a_max_mps2),
+        factor * v_max,
+        factor * a_max,
         params.max_jerk_mps3,
     )
     setpoint.acceleration_mps2 = accel
