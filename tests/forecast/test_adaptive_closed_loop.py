@@ -284,7 +284,7 @@ def test_a_quick_sensor_whose_tool_turns_back_on_steep_ground(seed):
     job, places = Job(sensor_hz=50), to_and_fro(0.3, 0.8, 8.0)
     own = clearances_m(job, job.follower(), seed, places, 0.4 * places, range_late_ms=30, pose_late_ms=10)
     print(f"least clearance {1e3 * own[500:].min():.1f} mm")
-    assert own[500:].min() > 0.92 * job.standoff_m
+    assert own[500:].min() > 0.91 * job.standoff_m
 
 
 @pytest.mark.parametrize("sensor_hz", [10, 100])
