@@ -119,7 +119,7 @@ class NaiveResponse:
         enough = motion_m > r.MOTION_BANDS * self.band_m
         quiet = self.is_quiet
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
-        doubtful = self.number >= r.MAX_MEAN and no_lag and work > r.SHIFT_ERROR_MOTION
+        doubtful = enough and self.number >= r.MAX_MEAN and no_lag and work > r.SHIFT_ERROR_MOTION
         distant = motion_m > r.SHIFT_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * r.MIN_MEANS * self.number
         if long and self.shift_ns is None and (doubtful or distant or suspicious):

@@ -61,7 +61,6 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "powers without sharpness": [("model_weights", "(s * s * alpha * alpha)", "1.0")],
     "chance penalty": [("model_weights", "s * s * CHANCE_PENALTY[i]", "0.0")],
     "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
-    "variance penalty": [("model_weights", "if variance_share > 0.0:", "if variance_share > 2.0:")],
     "effort power": [
         (
             "model_weights",
@@ -70,7 +69,11 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         )
     ],
     "second sample in the gate": [
-        ("innovation_gate", "if not inner * gate_m < abs(innovation_m) <= gate_m or", "if inner >= 0.0 or")
+        (
+            "innovation_gate",
+            "if not INNER_GATE * gate_m < abs(innovation_m) <= gate_m or",
+            "if INNER_GATE >= 0.0 or",
+        )
     ],
     "likelihood of slots": [
         ("innovation_gate", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 1.0")
@@ -93,10 +96,14 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "reversion to the mean": [("preview", "REVERSION = 1.5", "REVERSION = 0.0")],
     "bound of an early descent": [
-        ("preview_control", "early = lowest + standoff_m - DISAGREEMENT_M", "early = lowest - 1e9")
+        (
+            "preview_control",
+            "lowest, least = ground_m[0], -params.plant_v_max_mps",
+            "lowest, least = -1e9, -1e9",
+        )
     ],
-    "curve models": [("model_bank", "for qc in (3.0, 20.0, 150.0)]", "for qc in (20.0,)]")],
-    "wave models": [("model_bank", "_LONGEST_WAVE_M = 11, 3, 0.6", "_LONGEST_WAVE_M = 3, 3, 0.6")],
+    "curve models": [("model_bank", "for qc in (3.0, 20.0, 150.0)]", "for qc in (20.0, 20.0, 20.0)]")],
+    "wave models": [("model_bank", "for length_m in 0.6 *", "for length_m in 1e3 *")],
     "deadband": [
         ("setpoint_blend", "excess = abs(e) - adaptation.deadband_m", "excess = abs(e) - 1e-9"),
         ("setpoint_blend", "softness = DEADBAND_SOFTNESS * adaptation.deadband_m", "softness = 1e-12"),
@@ -118,11 +125,10 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         )
     ],
     "adaptive wave numbers": [("estimate", "        adapt_waves(bank, h_m, r, travel)", "        pass")],
-    "decaying slopes": [("model_bank", "for length_m, qs in decaying]", "for length_m, qs in decaying[:0]]")],
-    "levels but one": [("model_bank", "for qh in (3e-5, 3e-4, 2e-3, 2e-2)]", "for qh in (3e-4,)]")],
-    "slopes with noise of the height": [
-        ("model_bank", "slopes += [(SLOPE, _STRAIGHT_M, qs, 3e-3) for qs in (0.15, 1.0)]", "pass")
+    "decaying slopes": [
+        ("model_bank", "((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))", "((1e3, 0.0), (1e3, 0.0), (1e3, 0.0))")
     ],
+    "levels but one": [("model_bank", "for qh in (3e-5, 3e-4, 2e-3)]", "for qh in (3e-4, 3e-4, 3e-4)]")],
     "longer horizon": [
         ("model_weights", "c += p_l * math.log(weights.longer_m2", "c += 0.0 * math.log(weights.longer_m2")
     ],

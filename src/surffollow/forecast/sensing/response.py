@@ -160,10 +160,10 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     error = abs(response.run_range_m - standoff_m) if below else 0.0
     wrong = is_suspicious(error, motion, rate, band_m, tau, standoff_m)
     quiet = _is_quiet(response)
-    suspicious = wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED
-    suspicious = suspicious and motion > MOTION_BANDS * band_m
+    perceptible = motion > MOTION_BANDS * band_m
+    suspicious = perceptible and (wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED)
     fast = number >= MAX_MEAN  # with fewer samples in τ the ground changes while an answer is awaited
-    doubtful = fast and error > LAG_TAUS * tau * rate
+    doubtful = perceptible and fast and error > LAG_TAUS * tau * rate
     doubtful = doubtful and error * motion > SHIFT_ERROR_MOTION * band_m * standoff_m
     shifts = suspicious or doubtful or motion > SHIFT_DESCENT * standoff_m
     if shifts and response.lift_m == 0.0 and response.run_samples > 2.0 * MIN_MEANS * number:
