@@ -103,9 +103,9 @@ def random_cycles(
             + a.plant.tau_s
             + a.setpoint.position_m
             + a.gate.scale_m
-            + a.regression.mean_height_m
-            + a.regression.offset_offset_m2[0]
-            + a.regression.change_change_m2[2]
+            + a.preview.mean_m
+            + a.preview.offset_m2
+            + a.preview.error_m2
             + a.plan.setpoint_m
         ):
             sick += 1
