@@ -35,6 +35,8 @@ class NaiveResponse:
     usual_repeats: float = 0.0
     spread_m: float = 0.0
     usual_m: float = 0.0
+    mean_m: float = 0.0
+    repeated_m: float = 0.0
     rose: bool = False
 
     def _begin_run(self, z_m: float) -> None:

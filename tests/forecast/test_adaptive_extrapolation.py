@@ -31,10 +31,10 @@ def extrapolated(ground: Ground, way_m: float, sigma_m: float = 0.0) -> tuple[np
     f = Follower({"sensors": [{"position_m": [LEAD_M, 0.0, 0.0]}], "memory": False}, offset_m=STANDOFF_M)
     a = f._state["adaptive"][0]
     for k in range(int(way_m / SPEED_MPS / 4e-3)):
-        t, x = 10**12 + 4 * MS * k, SPEED_MPS * 4e-3 * k
-        z = STANDOFF_M + (0.0 if ground is boxes else ground(x))
-        f.pose(t, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
-        f.step(t, [z - ground(x + LEAD_M) + sigma_m * rng.standard_normal()])
+        t, place = 10**12 + 4 * MS * k, SPEED_MPS * 4e-3 * k
+        z = STANDOFF_M + (0.0 if ground is boxes else ground(place))
+        f.pose(t, (place, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        f.step(t, [z - ground(place + LEAD_M) + sigma_m * rng.standard_normal()])
     step, end = SPEED_MPS * PERIOD_S, float(a["sample"]["x_m"])
     a["preview"]["ground_m"][:KNOWN] = [ground(end - step * k) for k in range(KNOWN - 1, -1, -1)]
     extrapolate_ground(a, KNOWN, -step * (KNOWN - 1))

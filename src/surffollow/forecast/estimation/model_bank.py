@@ -14,6 +14,7 @@ vectorised; kinds differ in their coefficients.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ LOOP_SHARE = 0.25  # of the gain of the phase, in that of the wave number: the l
 MAX_LOOP_SHARE = 1.0 / math.pi  # … and changes ω by no more per correction of the phase by 1 rad
 WAVE_VARIANCE_M2 = 1e-5  # of an amplitude at the start
 # rows of kind, scale, noise of slope, curvature or a wave's amplitude, noise of height
-BANK = np.array(
+BANK: Any = np.array(
     [(SLOPE, STRAIGHT_M, 0.0, qh) for qh in (3e-5, 3e-4, 2e-3)]
     + [(SLOPE, STRAIGHT_M, qs, 1e-5) for qs in (0.01, 0.12, 1.4)]
     + [(SLOPE, length_m, qs, 1e-3) for length_m, qs in ((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))]

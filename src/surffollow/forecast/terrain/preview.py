@@ -2,12 +2,13 @@
 
 import math
 
-from surffollow.forecast.estimation.model_bank import N_MODELS, extrapolate_bank
+from surffollow.forecast.estimation.model_bank import extrapolate_bank
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.terrain.known_ground import known_height
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
+from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of the axis
 PREDICTION_M = 0.04  # over which predictions by the bank are compared; farther on they end
