@@ -11,7 +11,8 @@ from surffollow.follower import Follower
 from surffollow.forecast.estimation.estimate import update_estimate
 from surffollow.forecast.estimation.model_bank import BANK, N_MODELS, SLOPE
 from surffollow.forecast.pose import push_pose
-from surffollow.forecast.sensing.range_prediction import predict_range, update_prediction
+from surffollow.forecast.sensing import range_prediction
+from surffollow.forecast.sensing.range_prediction import predict_range, return_gain, update_prediction
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.forecast.step import follow_step
 from surffollow.forecast.terrain.terrain_buffer import buffered_height, store_ground
@@ -221,6 +222,95 @@ def test_range_prediction_of_a_constant_range_is_constant(horizon_s):
         errors.append(predict_range(prediction, horizon_s) - 2.0)
     assert abs(np.mean(errors[100:])) < 1e-3
     assert np.std(errors[100:]) < 0.01 * (1.5 if horizon_s < 1.0 else 3.0)
+
+
+def naive_predictions(t_s, ranges_m, horizon_s, most=1.0):
+    """Forecasts by a trend with a learnt return to the mean, from its formulas; no outliers, no gaps."""
+    made, level, trend, mean, mean_s, interval, check = [], ranges_m[0], 0.0, ranges_m[0], 0.0, 0.0, None
+    products, gain = np.zeros(2), 0.0
+
+    def parts(h):
+        w = range_prediction.DECAY * unit * (1.0 - math.exp(-h / (range_prediction.DECAY * unit)))
+        share = 1.0 - math.exp(-(h - w) / (range_prediction.RETURN * unit))
+        return np.array([level + trend * w, share * (mean - level)])
+
+    for k in range(1, len(t_s)):
+        dt = t_s[k] - t_s[k - 1]
+        interval += (dt - interval) / 20 if interval else dt
+        unit = max(interval, range_prediction.MIN_UNIT_S)
+
+        def weight(duration_s, intervals, unit=unit):
+            return 1.0 - math.exp(-duration_s / (intervals * unit))
+
+        expected = parts(dt) @ (1.0, gain)
+        new = expected + weight(dt, range_prediction.LEVEL) * (ranges_m[k] - expected)
+        back = gain * (mean - level) / (range_prediction.RETURN * unit)
+        trend += weight(dt, range_prediction.DECAY) * (back - trend)
+        trend += weight(dt, range_prediction.TREND) * ((new - level) / dt - trend)
+        level = new
+        mean_s = min(mean_s + dt, range_prediction.MEAN * unit)
+        mean += (1.0 - math.exp(-dt / mean_s)) * (level - mean)
+        if check is None or t_s[k] - check[0] >= range_prediction.CHECK * unit:
+            if check is not None:
+                missed, back_m = level - check[1], check[2]
+                share = weight(t_s[k] - check[0], range_prediction.MEAN)
+                products += share * (np.array([missed * back_m, back_m**2]) - products)
+                gain = float(np.clip(products[0] / products[1], 0.0, most))
+            check = t_s[k], *parts(range_prediction.CHECK * unit)
+        made.append(parts(horizon_s) @ (1.0, gain))
+    return np.array(made), gain
+
+
+def swinging_ranges(n):
+    """Times [s] and ranges [m] of a controlled distance that noise disturbs, at uneven intervals."""
+    rng, distance, rate, ranges = np.random.default_rng(5), 0.0, 0.0, []
+    t_s = np.cumsum(rng.integers(80, 250, n)) * 1e-3
+    for dt in np.diff(t_s, prepend=0.0):
+        rate += dt * (-0.5 * distance - 1.0 * rate) + 0.1 * math.sqrt(dt) * rng.standard_normal()
+        distance += dt * rate
+        ranges.append(3.0 + distance + 0.003 * rng.standard_normal())
+    return t_s, np.array(ranges)
+
+
+def predictions(t_s, ranges_m, horizon_s):
+    """Forecasts after every range but the first, and the record."""
+    prediction, made = zeros(AdaptiveState)[0]["prediction"], []
+    for t, range_m in zip(t_s, ranges_m, strict=True):
+        update_prediction(prediction, 10**9 + round(t * 1e9), range_m)
+        made.append(predict_range(prediction, horizon_s))
+    return np.array(made[1:]), prediction
+
+
+def test_range_prediction_agrees_with_its_naive_twin():
+    t_s, ranges_m = swinging_ranges(1500)
+    made, prediction = predictions(t_s, ranges_m, 1.5)
+    twin, gain = naive_predictions(t_s, ranges_m, 1.5)
+    assert prediction["rejected"] == 0
+    assert return_gain(prediction) == pytest.approx(gain, rel=1e-6)
+    np.testing.assert_allclose(made, twin, atol=1e-8)
+
+
+def test_range_prediction_returns_to_the_mean_only_where_the_range_does():
+    t_s, ranges_m = swinging_ranges(3000)
+    made, prediction = predictions(t_s, ranges_m, 2.0)
+    assert return_gain(prediction) > 0.5
+    later = np.interp(t_s[1:] + 2.0, t_s, ranges_m)
+    trend, _ = naive_predictions(t_s, ranges_m, 2.0, most=0.0)
+    seen = slice(500, -20)
+    errors = [np.sqrt(np.mean((f[seen] - later[seen]) ** 2)) for f in (made, trend)]
+    assert errors[0] < 0.95 * errors[1]
+    _, prediction = predictions(t_s, 3.0 + 0.05 * t_s, 2.0)  # a slope
+    assert return_gain(prediction) == 0.0
+
+
+def test_range_prediction_begins_its_mean_after_a_jump_and_a_gap():
+    t_s, ranges_m = swinging_ranges(600)
+    for late_s in (0.2, 60.0):
+        made, prediction = predictions(
+            np.r_[t_s, t_s[-1] + late_s + 0.1 * np.arange(3)], np.r_[ranges_m, 8.0, 8.0, 8.0], 30.0
+        )
+        assert prediction["mean_m"] == pytest.approx(8.0, abs=0.01)
+        assert made[-1] == pytest.approx(8.0, abs=0.5)
 
 
 def test_conversions_of_a_held_value_are_one_sample_stamped_where_it_began():

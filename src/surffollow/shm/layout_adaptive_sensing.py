@@ -115,6 +115,13 @@ class Prediction(Schema):
     interval_s = F64(unit="s", doc="usual interval of samples; 0: not known")
     scale_m = F64(unit="m", doc="usual innovation")
     rejected = I64(doc="1: the newest range was rejected")
+    mean_m = F64(unit="m", doc="mean range")
+    mean_s = F64(unit="s", doc="time constant of the mean")
+    check_ns = I64(unit="ns", doc="time of the forecast that is to be compared; 0: none")
+    by_trend_m = F64(unit="m", doc="that forecast by the trend alone")
+    return_m = F64(unit="m", doc="return to the mean in that forecast")
+    return_m2 = F64(unit="m^2", doc="its mean square")
+    missed_m2 = F64(unit="m^2", doc="mean product of it and of what the trend alone missed")
 
 
 class Lookahead(Schema):

@@ -1,7 +1,13 @@
 """Predict the range itself over time, for logs and for horizons far beyond the controller's.
 
 A damped trend (Gardner and McKenzie, 1985) for uneven intervals: level l and trend b, which decays with the
-time constant d. The forecast of a horizon h is l + b · d · (1 − exp(−h/d)).
+time constant d. A distance that is controlled returns to its mean m, too, with the time constant r. The
+forecast of a horizon h, with w = d · (1 − exp(−h/d)), is
+
+    l + b · w + g · (m − l) · (1 − exp(−(h − w)/r)),   0 ≤ g ≤ 1
+
+The gain g is learnt: what the trend alone missed is regressed upon the return that was forecast with it.
+Over a slope, where the range returns to no mean, it is 0.
 """
 
 import math
@@ -9,8 +15,10 @@ import math
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit
 
-# time constants of level, trend and decay, in usual intervals: the best of a grid on half of a flight's log
-LEVEL, TREND, DECAY = 0.36, 2.4, 9.0
+# time constants of level, trend, decay, mean and return, and the horizon at which the gain is learnt, in
+# usual intervals: a compromise between halves of a flight's log that does no harm to an echo sounder's
+LEVEL, TREND, DECAY = 0.36, 2.4, 10.0
+MEAN, RETURN, CHECK = 1000.0, 30.0, 15.0
 MIN_UNIT_S = 0.16  # in place of shorter intervals, 4 τ: their noise averages out
 GATE_SCALES = 8.0  # in usual innovations
 GAP_INTERVALS = 5.0  # usual intervals, or seconds if that is more: begin at the next range
@@ -29,16 +37,74 @@ def damped_time(horizon_s, decay_s):
 
 
 @jit
+def forecast_parts(prediction, horizon_s):
+    """Range at a horizon by the trend alone, and the whole return from the level by then [m]."""
+    unit_s = time_unit_s(prediction)
+    lasts_s = damped_time(horizon_s, DECAY * unit_s)
+    share = 1.0 - math.exp(-(horizon_s - lasts_s) / (RETURN * unit_s))
+    by_trend_m = prediction.level_m + prediction.trend_mps * lasts_s
+    return by_trend_m, share * (prediction.mean_m - prediction.level_m)
+
+
+@jit
+def return_gain(prediction):
+    """Part of the return to the mean that was seen, 0 to 1."""
+    if not prediction.return_m2 > 0.0:
+        return 0.0
+    return min(max(prediction.missed_m2 / prediction.return_m2, 0.0), 1.0)
+
+
+@jit
+def predict_range(prediction, horizon_s):
+    """Range at a horizon after the newest one [m]; NaN before the first."""
+    if prediction.t_ns == 0:
+        return math.nan
+    by_trend_m, return_m = forecast_parts(prediction, horizon_s)
+    return by_trend_m + return_gain(prediction) * return_m
+
+
+@jit
+def begin_mean(prediction, range_m):
+    """Begin the mean at a range; the forecast that is to be compared is discarded."""
+    prediction.mean_m, prediction.mean_s, prediction.check_ns = range_m, 0.0, 0
+
+
+@jit
+def update_mean(prediction, dt):
+    """Update the mean with the level, and the gain of the return once its forecast can be compared.
+
+    Parameters
+    ----------
+    prediction : record of `Prediction` (updated)
+    dt : float64  time since the range before [s]
+    """
+    unit_s = time_unit_s(prediction)
+    prediction.mean_s = min(prediction.mean_s + dt, MEAN * unit_s)
+    prediction.mean_m += (1.0 - math.exp(-dt / prediction.mean_s)) * (prediction.level_m - prediction.mean_m)
+    if prediction.check_ns != 0:
+        since_s = (prediction.t_ns - prediction.check_ns) * 1e-9
+        if since_s < CHECK * unit_s:
+            return
+        weight, return_m = 1.0 - math.exp(-since_s / (MEAN * unit_s)), prediction.return_m
+        missed_m = prediction.level_m - prediction.by_trend_m
+        prediction.missed_m2 += weight * (missed_m * return_m - prediction.missed_m2)
+        prediction.return_m2 += weight * (return_m**2 - prediction.return_m2)
+    prediction.by_trend_m, prediction.return_m = forecast_parts(prediction, CHECK * unit_s)
+    prediction.check_ns = prediction.t_ns
+
+
+@jit
 def update_prediction(prediction, t_ns, range_m):
-    """Update level, trend and interval with a range; a single outlier is rejected, a second one is a jump."""
+    """Update level, trend, mean and interval; a single outlier is rejected, a second one is a jump."""
     dt = (t_ns - prediction.t_ns) * 1e-9
     if prediction.t_ns == 0 or dt <= 0.0 or dt > GAP_INTERVALS * max(prediction.interval_s, 1.0):
         prediction.level_m, prediction.trend_mps = range_m, 0.0
         prediction.t_ns, prediction.rejected = t_ns, 0
+        begin_mean(prediction, range_m)
         return
     prediction.interval_s = follow_usual(prediction.interval_s, dt)
     unit_s = time_unit_s(prediction)
-    expected_m = prediction.level_m + prediction.trend_mps * damped_time(dt, DECAY * unit_s)
+    expected_m = predict_range(prediction, dt)
     innovation = range_m - expected_m
     outlier = abs(innovation) > GATE_SCALES * prediction.scale_m > 0.0
     if outlier and prediction.rejected < 1:
@@ -49,14 +115,10 @@ def update_prediction(prediction, t_ns, range_m):
     if not outlier:
         expected_m += (1.0 - math.exp(-dt / (LEVEL * unit_s))) * innovation
     rate_mps = (expected_m - prediction.level_m) / dt
-    prediction.trend_mps *= math.exp(-dt / (DECAY * unit_s))
+    back_mps = return_gain(prediction) * (prediction.mean_m - prediction.level_m) / (RETURN * unit_s)
+    prediction.trend_mps = back_mps + math.exp(-dt / (DECAY * unit_s)) * (prediction.trend_mps - back_mps)
     prediction.trend_mps += (1.0 - math.exp(-dt / (TREND * unit_s))) * (rate_mps - prediction.trend_mps)
     prediction.level_m, prediction.t_ns = range_m if outlier else expected_m, t_ns
-
-
-@jit
-def predict_range(prediction, horizon_s):
-    """Range at a horizon after the newest one [m]; NaN before the first."""
-    if prediction.t_ns == 0:
-        return math.nan
-    return prediction.level_m + prediction.trend_mps * damped_time(horizon_s, DECAY * time_unit_s(prediction))
+    if outlier:
+        begin_mean(prediction, range_m)
+    update_mean(prediction, dt)
