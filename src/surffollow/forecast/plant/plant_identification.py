@@ -8,7 +8,7 @@ errors are equal, and the configured time constant stays.
 import math
 
 from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, step_axis
-from surffollow.forecast.plant.controller_clock import oldest_period, period_at
+from surffollow.forecast.plant.controller_clock import period_at
 from surffollow.forecast.plant.shadow_axes import MAX_AXIS_GAP_NS
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
@@ -60,9 +60,8 @@ def follow_setpoints(params, adaptive, tau_s, z_m, v_mps, to_ns):
     controller, plant = adaptive.controller, adaptive.plant
     span = min(to_ns - plant.t_ns, MAX_AXIS_GAP_NS)
     steps = (span + AXIS_STEP_NS - 1) // AXIS_STEP_NS
-    j = oldest_period(controller)
     for n in range(steps):
-        j = period_at(controller, j, plant.t_ns + (span * n) // steps)
+        j = period_at(controller, plant.t_ns + (span * n) // steps)
         z_m, v_mps = step_axis(
             tau_s,
             params.plant_v_max_mps,
