@@ -73,14 +73,15 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     for i in range(N_MODELS):
         change = bank.rise_m[i] + lead_m * bank.slope_ahead[i]
         growth = bank.slope_ahead[i] + lead_m * bank.bend_ahead[i]
-        if abs(change) > margin:
-            change, growth = math.copysign(margin, change), sign * math.copysign(max_slope, change)
-        if i < WAVES and change < 0.0:
-            change, growth = change * (1.0 - level_share), growth * (1.0 - level_share)
-        t = bank.height_m[i] + change + standoff_m
-        blend.model_m[i] = t
-        z += weights.weight[i] * t
-        slope += weights.weight[i] * growth
+        beyond = abs(change) > margin
+        growth = sign * math.copysign(max_slope, change) if beyond else growth
+        change = math.copysign(margin, change) if beyond else change
+        share = 1.0 - level_share if i < WAVES and change < 0.0 else 1.0
+        blend.model_m[i] = bank.height_m[i] + share * change + standoff_m
+        blend.model_slope[i] = share * growth
+    for i in range(N_MODELS):  # behind the loop above, which vectorises
+        z += weights.weight[i] * blend.model_m[i]
+        slope += weights.weight[i] * blend.model_slope[i]
     return z, slope
 
 
