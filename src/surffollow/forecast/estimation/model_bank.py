@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 SLOPE, CURVE, WAVE = 0, 1, 2
@@ -87,7 +87,7 @@ def compute_transition(bank, d_m):
         bank.f11[i], bank.f12[i], bank.f21[i] = cs, sn / w, -w * sn
 
 
-@jit
+@jit_inlined
 def propagate_bank(bank, d):
     """Propagate all models over a distance travelled [m]: x ← F x, P ← F P Fᵀ + Q."""
     compute_transition(bank, d)
@@ -116,7 +116,7 @@ def propagate_bank(bank, d):
         bank.p22[i] = f21 * c1 + f22 * c2 + qc * d
 
 
-@jit
+@jit_inlined
 def update_bank(bank, h_m, variance_m2):
     """Update all models with a height."""
     for i in range(N_MODELS):
@@ -134,7 +134,7 @@ def update_bank(bank, h_m, variance_m2):
         bank.p22[i] -= p02 * p02 * f
 
 
-@jit
+@jit_inlined
 def adapt_waves(bank, h_m, variance_m2, d_m):
     """Adapt the wave numbers with a height that comes next in `update_bank`; phase and amplitude stay.
 
@@ -174,7 +174,7 @@ def turn_bank(bank, cosine):
         bank.p22[i] = c2 * c2 * bank.p22[i] + (1.0 - c2 * c2) * INITIAL_CURVATURE_VARIANCE[i]
 
 
-@jit
+@jit_inlined
 def extrapolate_bank(bank, d):
     """Extrapolate all models by d [m]: `rise_m`, and θ and dθ/ds there, `slope_ahead` and `bend_ahead`.
 

@@ -4,7 +4,7 @@ import math
 
 from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, PERIOD_S, step_axis
 from surffollow.forecast.plant.controller_clock import period_at
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, N_PERIODS
 
 MAX_AXIS_STEPS = 32  # bounds the work per sample
@@ -42,7 +42,7 @@ def reset_shadows(shadow, t_ns, z_m):
         shadow.velocity_mps[i] = 0.0
 
 
-@jit
+@jit_inlined
 def propagate_shadows(params, adaptive, t_ns):
     """Propagate every shadow axis up to a time with the setpoints of its model; whether that is possible.
 

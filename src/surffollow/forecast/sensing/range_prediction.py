@@ -7,7 +7,7 @@ time constant d. The forecast of a horizon h is l + b · d · (1 − exp(−h/d)
 import math
 
 from surffollow.forecast.sensing.clock import follow_usual
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 
 # time constants of level, trend and decay, in usual intervals: the best of a grid on half of a flight's log
 LEVEL, TREND, DECAY = 0.36, 2.4, 9.0
@@ -28,7 +28,7 @@ def damped_time(horizon_s, decay_s):
     return decay_s * (1.0 - math.exp(-horizon_s / decay_s))
 
 
-@jit
+@jit_inlined
 def update_prediction(prediction, t_ns, range_m):
     """Update level, trend and interval with a range; a single outlier is rejected, a second one is a jump."""
     dt = (t_ns - prediction.t_ns) * 1e-9

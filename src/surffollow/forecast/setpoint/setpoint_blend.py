@@ -14,7 +14,7 @@ from surffollow.forecast.sensing.measurement import has_turned_back
 from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, PAUSE_S
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
@@ -39,7 +39,7 @@ def dropout_s(adaptive):
     )
 
 
-@jit
+@jit_inlined
 def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """Setpoints of all models `ahead_m` beyond the newest footprint; their blend and its slope.
 
@@ -85,7 +85,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     return z, slope
 
 
-@jit
+@jit_inlined
 def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     """Blend the models' setpoints; when a controller period is due, record each of them.
 
@@ -141,7 +141,7 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     return z
 
 
-@jit
+@jit_inlined
 def filter_setpoint(params, adaptive, target_m):
     """Filter the blend: it continues at the predicted rate while it is within the deadband.
 
@@ -166,7 +166,7 @@ def filter_setpoint(params, adaptive, target_m):
     return blend.filtered_m
 
 
-@jit
+@jit_inlined
 def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, stuck):
     """Setpoint within the range that is permitted [m].
 
