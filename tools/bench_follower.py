@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from surffollow.follower import Follower
+from surffollow.follower.kernel_time import kernel_time
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.step import follow_step
 from surffollow.shm.layout_follow import CHANNELS
@@ -132,6 +133,7 @@ def time_cycles(f: Follower, channels: int, cycles: int = 20_000) -> dict[str, f
         t = 10**12 + k * MS
         if k % 10 == 0:
             f.pose(t, (1e-4 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        t = kernel_time(t)
         f._given_m[:channels] = math.nan if k % 4 else 0.1 + 2.5e-4 * rng.standard_normal(channels)
         f._n_ranges[0], f._t_ns[0], f._given_t_ns[0] = channels, t, t
         begin = time.thread_time_ns()

@@ -47,7 +47,7 @@ from surffollow.forecast.terrain.preview import (
     withdraw_preview,
 )
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import (
     DROPOUT,
     FAULT_CLOCK,
@@ -89,7 +89,7 @@ def distance_ahead(params, adaptive, sense):
     return distance_along(kinematics, gap_x, gap_y) + kinematics.speed_mps * delay_s
 
 
-@jit
+@jit_inlined
 def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     """Blended setpoint [m], and whether a controller period begins.
 
@@ -142,7 +142,7 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
         plan_setpoint(params, adaptive, known, z, v, standoff_m + setpoint_shift_m(adaptive.response))
 
 
-@jit
+@jit_inlined
 def target_of_preview(params, adaptive, target_m, standoff_m):
     """Setpoint before the limits: the filtered blend and its shift, and the plan by its share [m].
 
@@ -167,7 +167,7 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
     return target_m
 
 
-@jit
+@jit_inlined
 def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     """Demand of the adaptive mode into `output`; returns status bits.
 
@@ -250,7 +250,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     return status
 
 
-@jit
+@jit_inlined
 def publish_estimate(params, adaptive, output):
     """Publish estimate, health and adapted parameters."""
     kinematics, health, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate

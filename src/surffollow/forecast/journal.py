@@ -122,8 +122,9 @@ def decode_cycle(words, floats, at, inputs):
         for j in range(7):
             i.pose[7 * k + j] = floats[n + 1 + j]
         n += 8
+    conversions = words[n:]  # of which no index is negative: the loop vectorises
     for k in range(n_conversions):
-        i.conversion[k] = words[n + k]
+        i.conversion[k] = conversions[k]
     n += n_conversions
     if n_ranges > 0:
         i.given_t_ns = words[n]

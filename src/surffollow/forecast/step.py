@@ -215,7 +215,7 @@ def adaptive_cycle(params, state, sense, fold, inputs, output, pose, ready):
     return status
 
 
-@jit
+@jit_inlined
 def scaled_adaptive_cycle(params, state, inputs, output, pose, ready):
     """`adaptive_cycle` behind the reference scales; where these are 1 nothing is copied.
 

@@ -135,12 +135,12 @@ def walk_entries(words: Any, n: Any, most_cycles: Any, stop_at_snapshot: Any, wa
 
 
 @jit
-def same_words(a: Any, b: Any, at: Any) -> Any:
-    """1 when `a` equals the words of `b` from index `at` on."""
-    for k in range(a.size):
-        if a[k] != b[at + k]:
-            return 0
-    return 1
+def same_words(a: Any, b: Any) -> Any:
+    """Whether the words of two arrays of one size are the same."""
+    differing = 0
+    for k in range(a.size):  # to the end: it vectorises
+        differing |= a[k] ^ b[k]
+    return differing == 0
 
 
 @jit
@@ -163,19 +163,19 @@ def take_snapshot(words: Any, at: Any, params_words: Any, state_words: Any, tall
     params_words, state_words : int64  `Params` and `FollowState` of the replay as words
     tally : (…,) int64  counts of the comparison, updated
     """
-    params_at, state_at = at + 2, at + 2 + PARAMS_WORDS
+    logged_params, logged_state = words[at + 2 :], words[at + 2 + PARAMS_WORDS :]
     if tally[R_STARTED] == 0:
         for k in range(PARAMS_WORDS):
-            params_words[k] = words[params_at + k]
+            params_words[k] = logged_params[k]
         for k in range(STATE_WORDS):
-            state_words[k] = words[state_at + k]
+            state_words[k] = logged_state[k]
         tally[R_STARTED] = 1
         tally[R_LAST_CYCLE] = state_words[_CYCLE_WORD] - 1
         return
     tally[R_SNAPSHOTS] += 1
-    if same_words(params_words, words, params_at) == 0 or same_words(state_words, words, state_at) == 0:
+    if not (same_words(params_words, logged_params) and same_words(state_words, logged_state)):
         if tally[R_STATES_DIFFERING] == 0:
-            tally[R_FIRST_STATE_CYCLE] = words[state_at + _CYCLE_WORD]
+            tally[R_FIRST_STATE_CYCLE] = logged_state[_CYCLE_WORD]
         tally[R_STATES_DIFFERING] += 1
 
 

@@ -22,7 +22,9 @@ YOUNG_OBJECTS = 100_000  # between collections while numba compiles; 5 % more me
 def _kernels(**options: Any) -> Callable[[Any], Any]:
     """A decorator of kernels that are kept on disk."""
     # a division by zero gives inf or NaN: no exceptions, and LLVM can vectorise loops
-    given = {"nopython": True, "boundscheck": None, "nogil": True, "error_model": "numpy", **options}
+    given = {"nopython": True, "boundscheck": None, "nogil": True, "error_model": "numpy"}
+    # what is not given numba would take from the kernel that happens to call this one first
+    given |= {"forceinline": False, "fastmath": False, **options}
 
     def decorate(py_func: Any) -> Any:
         return py_func if config.DISABLE_JIT else Kernel(py_func, targetoptions=given)

@@ -82,6 +82,7 @@ class Blend(Schema):
     """Blended setpoint and its filter (`setpoint_blend`)."""
 
     model_m = F64(N_MODELS, unit="m", doc="newest setpoints of the models")
+    model_slope = F64(N_MODELS, doc="their slopes along the path")
     setpoint_m = F64(unit="m", doc="their blend")
     rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
     t_ns = I64(unit="ns", doc="when it was made")

@@ -26,7 +26,9 @@ def choose_reference(params, beams, sense):
 
     The present one stays while it delivers samples and is accepted.
     """
-    newest = beams.t_ns.max()
+    newest = 0
+    for c in range(params.n_channels):
+        newest = max(newest, beams.t_ns[c])
     if newest == 0:
         return -1
     best, lowest = beams.reference, 3

@@ -47,7 +47,7 @@ from surffollow.forecast.plant.shadow_axes import (
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.latency_identification import reset_delay
 from surffollow.forecast.terrain.terrain_buffer import store_ground
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
 SETTLING_NS = 60_000_000  # after a start or a loss the performance index waits until setpoints have acted
@@ -57,7 +57,7 @@ MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is
 SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
 
-@jit
+@jit_inlined
 def blend_height(adaptive):
     """Blended height at the point up to which the models are propagated [m]: h = Σ w_i h_i."""
     h = 0.0
@@ -66,7 +66,7 @@ def blend_height(adaptive):
     return h
 
 
-@jit
+@jit_inlined
 def blend_models(adaptive):
     """Blend height, slope and variance of the models at the newest sample.
 
@@ -177,7 +177,7 @@ def discard_estimate(estimate):
     estimate.samples = 0
 
 
-@jit
+@jit_inlined
 def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     """Propagate the bank to a sample, gate it and update; whether it entered the estimate.
 

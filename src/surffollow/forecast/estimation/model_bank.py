@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 SLOPE, CURVE, WAVE = 0, 1, 2
@@ -64,27 +64,30 @@ def compute_transition(bank, d_m):
     """Compute the transition F of all models over a distance d ≥ 0 [m].
 
     F = [[1, f01, f02], [0, f11, f12], [0, f21, f22]]. Models of one scale follow each other: an
-    exponential is computed once.
+    exponential is computed once. Loops without calls vectorise.
     """
-    e, g = 1.0, 0.0
+    e = 1.0
     for i in range(WAVES):
-        a = SCALE[i]
-        if i == 0 or a != SCALE[i - 1]:
-            e = math.exp(-d_m / a)
-            g = a * (1.0 - e)
-        slope = i < N_SLOPES
-        bank.f01[i], bank.f02[i] = g if slope else d_m, 0.0 if slope else a * (d_m - g)
-        bank.f11[i], bank.f12[i] = e if slope else 1.0, 0.0 if slope else g
-        bank.f21[i], bank.f22[i] = 0.0, e
+        if i == 0 or SCALE[i] != SCALE[i - 1]:
+            e = math.exp(-d_m / SCALE[i])
+        bank.f22[i] = e
     for i in range(WAVES, N_MODELS):
-        w = bank.wave_number[i]
-        cs, sn = math.cos(w * d_m), math.sin(w * d_m)
+        bank.f22[i], bank.f21[i] = math.cos(bank.wave_number[i] * d_m), math.sin(bank.wave_number[i] * d_m)
+    for i in range(N_SLOPES):
+        e = bank.f22[i]
+        bank.f01[i], bank.f02[i] = SCALE[i] * (1.0 - e), 0.0
+        bank.f11[i], bank.f12[i], bank.f21[i] = e, 0.0, 0.0
+    for i in range(N_SLOPES, WAVES):
+        g = SCALE[i] * (1.0 - bank.f22[i])
+        bank.f01[i], bank.f02[i] = d_m, SCALE[i] * (d_m - g)
+        bank.f11[i], bank.f12[i], bank.f21[i] = 1.0, g, 0.0
+    for i in range(WAVES, N_MODELS):
+        w, cs, sn = bank.wave_number[i], bank.f22[i], bank.f21[i]
         bank.f01[i], bank.f02[i] = sn / w, (1.0 - cs) / (w * w)
-        bank.f11[i], bank.f12[i] = cs, sn / w
-        bank.f21[i], bank.f22[i] = -w * sn, cs
+        bank.f11[i], bank.f12[i], bank.f21[i] = cs, sn / w, -w * sn
 
 
-@jit
+@jit_inlined
 def propagate_bank(bank, d):
     """Propagate all models over a distance travelled [m]: x ← F x, P ← F P Fᵀ + Q."""
     compute_transition(bank, d)
@@ -113,7 +116,7 @@ def propagate_bank(bank, d):
         bank.p22[i] = f21 * c1 + f22 * c2 + qc * d
 
 
-@jit
+@jit_inlined
 def update_bank(bank, h_m, variance_m2):
     """Update all models with a height."""
     for i in range(N_MODELS):
@@ -131,7 +134,7 @@ def update_bank(bank, h_m, variance_m2):
         bank.p22[i] -= p02 * p02 * f
 
 
-@jit
+@jit_inlined
 def adapt_waves(bank, h_m, variance_m2, d_m):
     """Adapt the wave numbers with a height that comes next in `update_bank`; phase and amplitude stay.
 
@@ -171,7 +174,7 @@ def turn_bank(bank, cosine):
         bank.p22[i] = c2 * c2 * bank.p22[i] + (1.0 - c2 * c2) * INITIAL_CURVATURE_VARIANCE[i]
 
 
-@jit
+@jit_inlined
 def extrapolate_bank(bank, d):
     """Extrapolate all models by d [m]: `rise_m`, and θ and dθ/ds there, `slope_ahead` and `bend_ahead`.
 

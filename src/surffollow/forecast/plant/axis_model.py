@@ -14,12 +14,9 @@ ATTAINABLE_SHARE = 0.999  # of the greatest velocity, and of its change in a per
 @jit
 def axis_velocity(distance_m, tau_s, a_max_mps2):
     """Velocity at which the axis approaches its setpoint: proportional, then square root [m/s]."""
-    linear = a_max_mps2 * tau_s * tau_s
-    if distance_m > linear:
-        return math.sqrt(2.0 * a_max_mps2 * (distance_m - 0.5 * linear))
-    if distance_m < -linear:
-        return -math.sqrt(2.0 * a_max_mps2 * (-distance_m - 0.5 * linear))
-    return distance_m / tau_s
+    d, linear = abs(distance_m), a_max_mps2 * tau_s * tau_s
+    speed_mps = math.sqrt(2.0 * a_max_mps2 * (d - 0.5 * linear)) if d > linear else d / tau_s
+    return math.copysign(speed_mps, distance_m)
 
 
 @jit

@@ -104,14 +104,9 @@ def begin_period(controller, now_ns):
 
 
 @jit
-def oldest_period(controller):
-    """Number of the oldest period that the rings hold."""
-    return max(0, controller.periods - N_PERIODS)
-
-
-@jit
-def period_at(controller, k, t_ns):
-    """Number of the newest period that is latched at a time, from period k on."""
-    while k + 1 < controller.periods and controller.latch_ns[(k + 1) & (N_PERIODS - 1)] <= t_ns:
-        k += 1
+def period_at(controller, t_ns):
+    """Number of the newest period that is latched at a time; the oldest one in the rings if none is."""
+    k, oldest = controller.periods - 1, max(0, controller.periods - N_PERIODS)
+    while k > oldest and controller.latch_ns[k & (N_PERIODS - 1)] > t_ns:
+        k -= 1
     return k

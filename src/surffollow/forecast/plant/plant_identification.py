@@ -7,8 +7,10 @@ errors are equal, and the configured time constant stays.
 
 import math
 
+import numpy as np
+
 from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, step_axis
-from surffollow.forecast.plant.controller_clock import oldest_period, period_at
+from surffollow.forecast.plant.controller_clock import period_at
 from surffollow.forecast.plant.shadow_axes import MAX_AXIS_GAP_NS
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
@@ -17,6 +19,7 @@ from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 from surffollow.shm.layout_follow import POSES
 
 TAU_RATIO = 1.5  # between neighbouring τ
+TAU_SHARES = TAU_RATIO ** (np.arange(N_PLANTS) - N_PLANTS // 2)  # of the configured τ
 MAX_MODEL_ERROR_M = 5e-4  # beyond, another controller leads the robot, or it is built differently
 SUSPENSION_NS = 500_000_000  # then preview is suspended for so long
 ERROR_RATE = 0.004  # per pose report: 2.5 s at 100 Hz
@@ -47,50 +50,50 @@ def reset_axes(params, adaptive, t_ns, z_m):
 
 
 @jit
-def follow_setpoints(params, adaptive, tau_s, z_m, v_mps, to_ns):
-    """Position and velocity at a later time of an axis that follows the own setpoints [m, m/s].
+def own_setpoint(adaptive, t_ns):
+    """The follower's own setpoint that is in force at a time [m]."""
+    return adaptive.plant.setpoint_m[period_at(adaptive.controller, t_ns) & (N_PERIODS - 1)]
 
-    Parameters
-    ----------
-    params, adaptive : records of `Params`, `AdaptiveState`
-    tau_s : float64       time constant of the axis [s]
-    z_m, v_mps : float64  its position and velocity at `plant.t_ns`
-    to_ns : int64         the later time, at most MAX_AXIS_GAP_NS later
-    """
-    controller, plant = adaptive.controller, adaptive.plant
-    span = min(to_ns - plant.t_ns, MAX_AXIS_GAP_NS)
-    steps = (span + AXIS_STEP_NS - 1) // AXIS_STEP_NS
-    j = oldest_period(controller)
-    for n in range(steps):
-        j = period_at(controller, j, plant.t_ns + (span * n) // steps)
-        z_m, v_mps = step_axis(
-            tau_s,
-            params.plant_v_max_mps,
-            params.plant_a_max_mps2,
-            z_m,
-            v_mps,
-            plant.setpoint_m[j & (N_PERIODS - 1)],
-            span * 1e-9 / steps,
-        )
-    return z_m, v_mps
+
+@jit
+def time_steps(from_ns, to_ns):
+    """Number and length of the time steps of an axis model [s]; the span is MAX_AXIS_GAP_NS at most."""
+    span_ns = min(to_ns - from_ns, MAX_AXIS_GAP_NS)
+    steps = (span_ns + AXIS_STEP_NS - 1) // AXIS_STEP_NS
+    return steps, span_ns
 
 
 @jit
 def predict_axis(params, adaptive, to_ns):
     """Position and velocity of the observed axis at a later time [m, m/s]."""
-    plant = adaptive.plant
-    return follow_setpoints(params, adaptive, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
+    plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
+    z, v, tau = plant.axis_m, plant.axis_mps, plant.tau_s
+    steps, span_ns = time_steps(plant.t_ns, to_ns)
+    for n in range(steps):
+        target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
+        z, v = step_axis(tau, v_max, a_max, z, v, target, span_ns * 1e-9 / steps)
+    return z, v
 
 
 @jit
 def propagate_axes(params, adaptive, to_ns):
     """Propagate all axis models with the follower's own setpoints."""
-    plant = adaptive.plant
-    for k in range(N_PLANTS):
-        tau_s = plant.tau_configured_s * TAU_RATIO ** (k - N_PLANTS // 2)
-        plant.position_m[k], plant.velocity_mps[k] = follow_setpoints(
-            params, adaptive, tau_s, plant.position_m[k], plant.velocity_mps[k], to_ns
-        )
+    plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
+    steps, span_ns = time_steps(plant.t_ns, to_ns)
+    configured = plant.tau_configured_s
+    for n in range(steps):
+        target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
+        dt = span_ns * 1e-9 / steps
+        for k in range(N_PLANTS):
+            plant.position_m[k], plant.velocity_mps[k] = step_axis(
+                configured * TAU_SHARES[k],
+                v_max,
+                a_max,
+                plant.position_m[k],
+                plant.velocity_mps[k],
+                target,
+                dt,
+            )
     plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
 
@@ -98,17 +101,24 @@ def propagate_axes(params, adaptive, to_ns):
 @jit
 def model_error(plant):
     """Squared error of the best axis model against the reports [m²]."""
-    return plant.error_m2.min()
+    least = plant.error_m2[0]
+    for k in range(1, N_PLANTS):
+        least = min(least, plant.error_m2[k])
+    return least
 
 
 @jit
 def best_time_constant(plant):
     """τ of the least error by a parabola through three [s]; 0 when the errors do not differ."""
-    if plant.error_m2.max() - model_error(plant) < MIN_DIFFERENCE_M2:
+    best, greatest = 0, plant.error_m2[0]
+    for k in range(1, N_PLANTS):
+        best = k if plant.error_m2[k] < plant.error_m2[best] else best
+        greatest = max(greatest, plant.error_m2[k])
+    if greatest - plant.error_m2[best] < MIN_DIFFERENCE_M2:
         return 0.0
     # a parabola over √τ through three points: over τ its minimum is too high, over log τ too low
-    b = min(max(plant.error_m2.argmin(), 1), N_PLANTS - 2)
-    middle = math.sqrt(plant.tau_configured_s * TAU_RATIO ** (b - N_PLANTS // 2))
+    b = min(max(best, 1), N_PLANTS - 2)
+    middle = math.sqrt(plant.tau_configured_s * TAU_SHARES[b])
     left, right = middle / math.sqrt(TAU_RATIO), middle * math.sqrt(TAU_RATIO)
     slope_below = (plant.error_m2[b] - plant.error_m2[b - 1]) / (middle - left)
     slope_above = (plant.error_m2[b + 1] - plant.error_m2[b]) / (right - middle)

@@ -3,8 +3,8 @@
 import math
 
 from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, PERIOD_S, step_axis
-from surffollow.forecast.plant.controller_clock import oldest_period, period_at
-from surffollow.shm.jit import jit
+from surffollow.forecast.plant.controller_clock import period_at
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, N_PERIODS
 
 MAX_AXIS_STEPS = 32  # bounds the work per sample
@@ -42,7 +42,7 @@ def reset_shadows(shadow, t_ns, z_m):
         shadow.velocity_mps[i] = 0.0
 
 
-@jit
+@jit_inlined
 def propagate_shadows(params, adaptive, t_ns):
     """Propagate every shadow axis up to a time with the setpoints of its model; whether that is possible.
 
@@ -52,7 +52,7 @@ def propagate_shadows(params, adaptive, t_ns):
     t_ns : int64  the time; not possible before that of the axes
     """
     shadow, controller = adaptive.shadow, adaptive.controller
-    from_ns, k = shadow.t_ns, oldest_period(controller)
+    from_ns = shadow.t_ns
     span = t_ns - from_ns
     if span <= 0:
         return False
@@ -60,7 +60,7 @@ def propagate_shadows(params, adaptive, t_ns):
     if controller.periods == 0:
         return True
     if span > MAX_AXIS_GAP_NS:
-        slot = period_at(controller, k, t_ns) & (N_PERIODS - 1)
+        slot = period_at(controller, t_ns) & (N_PERIODS - 1)
         for i in range(N_MODELS):
             shadow.position_m[i] = shadow.setpoint_m[slot * N_MODELS + i]
             shadow.velocity_mps[i] = 0.0
@@ -69,7 +69,7 @@ def propagate_shadows(params, adaptive, t_ns):
     dt = span * 1e-9 / steps
     tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
     for j in range(steps):
-        k = period_at(controller, k, from_ns + (span * j) // steps)
+        k = period_at(controller, from_ns + (span * j) // steps)
         first = (k & (N_PERIODS - 1)) * N_MODELS
         for i in range(N_MODELS):
             target = shadow.setpoint_m[first + i]

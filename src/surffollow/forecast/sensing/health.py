@@ -7,7 +7,7 @@ from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
 from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.shm import layout_adaptive as layout
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
@@ -81,7 +81,7 @@ def is_outside(params, adaptive):
     return min(nearest_m - params.range_min_m, params.range_max_m - farthest_m) < WINDOW_EDGE_M
 
 
-@jit
+@jit_inlined
 def present_health(params, adaptive, silent):
     """Health and its reason without hysteresis; the gravest one.
 
@@ -124,7 +124,7 @@ def present_health(params, adaptive, silent):
     return layout.OK if reason == layout.REASON_NONE else layout.SUSPECT, reason
 
 
-@jit
+@jit_inlined
 def update_health(params, adaptive, sense):
     """Publish health and reason with hysteresis."""
     health, now_ns = adaptive.health, adaptive.clock.now_ns

@@ -4,7 +4,7 @@ import math
 
 from surffollow.forecast.pose import pose_at
 from surffollow.forecast.sensing.clock import LONG_GAP_NS, MAX_GAP_NS
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
 # over which the lateral velocity is taken: noise averages out; reports farther apart show no jump
@@ -107,7 +107,7 @@ def distance_along(kinematics, x_m, y_m):
     return (x_m * kinematics.velocity_x_mps + y_m * kinematics.velocity_y_mps) / kinematics.speed_mps
 
 
-@jit
+@jit_inlined
 def predict_pose(kinematics, sense, t_ns, pose):
     """Pose of the tool at a time into `pose`; after the newest report it is extrapolated.
 

@@ -23,11 +23,11 @@ from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestam
 from surffollow.forecast.sensing.standoff import axis_ground_point, standoff_height
 from surffollow.forecast.terrain.known_ground import compare_known_ground
 from surffollow.forecast.terrain.preview import observe_ground, withdraw_preview
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES, RUN_FREEZE
 
 
-@jit
+@jit_inlined
 def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose):
     """Process a new sample, if there is one; a sample that does not enter the estimate is not mapped.
 
@@ -80,7 +80,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, h
 
 
-@jit
+@jit_inlined
 def take_sample(params, adaptive, sense, inputs, output, orients, pose):
     """Whether there is a new sample, its channel, range and timestamp; one sensor is not mapped yet.
 
@@ -109,7 +109,7 @@ def take_sample(params, adaptive, sense, inputs, output, orients, pose):
     return is_new, channel, range_m, t
 
 
-@jit
+@jit_inlined
 def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
     """Test the sensor with a sample: whether it responds, and the sample's time less the latency.
 
@@ -165,7 +165,7 @@ def observe_plane(params, adaptive, output, t_ns, pose):
     return accepted, h
 
 
-@jit
+@jit_inlined
 def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
     """Advance the path to a footprint; returns the distance travelled since the one before [m].
 

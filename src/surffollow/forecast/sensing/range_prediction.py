@@ -13,7 +13,7 @@ Over a slope, where the range returns to no mean, it is 0.
 import math
 
 from surffollow.forecast.sensing.clock import follow_usual
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 
 # time constants of level, trend, decay, mean and return, and the horizon at which the gain is learnt, in
 # usual intervals: a compromise between halves of a flight's log that does no harm to an echo sounder's
@@ -93,7 +93,7 @@ def update_mean(prediction, dt):
     prediction.check_ns = prediction.t_ns
 
 
-@jit
+@jit_inlined
 def update_prediction(prediction, t_ns, range_m):
     """Update level, trend, mean and interval; a single outlier is rejected, a second one is a jump."""
     dt = (t_ns - prediction.t_ns) * 1e-9

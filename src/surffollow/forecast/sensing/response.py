@@ -13,7 +13,7 @@ ground: it is tested by that shift, and then by a greater one, but never held.
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import (
     RESPONSE_FAILED,
     RESPONSE_HOLD,
@@ -226,7 +226,7 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
         _begin_run(response, tool_z_m)
 
 
-@jit
+@jit_inlined
 def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     """Update the test with a sample of channel 0.
 

@@ -4,13 +4,13 @@ A sensor holds each value for a while, and the converter reads it many times.
 """
 
 from surffollow.forecast.sensing.clock import CONFIRMATION_SAMPLES
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
 HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample
 
 
-@jit
+@jit_inlined
 def new_sample(params, adaptive, sense, ranges_given, channel, orients):
     """Whether a channel has a new sample, its range and timestamp.
 

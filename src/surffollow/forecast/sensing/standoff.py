@@ -1,11 +1,11 @@
 """Point of the ground under the tool, and the desired height of the tool above it."""
 
 from surffollow.forecast.pose import rotate
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import POSES
 
 
-@jit
+@jit_inlined
 def axis_ground_point(params, pose, at):
     """Point of the tool's axis that should touch the ground, from the tool, in world axes [m].
 
@@ -27,7 +27,7 @@ def axis_ground_point(params, pose, at):
     return rotate(pose[at + 3], pose[at + 4], pose[at + 5], pose[at + 6], x, y, z)
 
 
-@jit
+@jit_inlined
 def standoff_height(params, plane, sense, orients):
     """Desired height of the tool, in the newest pose reported, above the ground point on its axis [m].
 

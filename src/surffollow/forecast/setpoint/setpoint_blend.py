@@ -14,7 +14,7 @@ from surffollow.forecast.sensing.measurement import has_turned_back
 from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, PAUSE_S
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
@@ -39,7 +39,7 @@ def dropout_s(adaptive):
     )
 
 
-@jit
+@jit_inlined
 def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """Setpoints of all models `ahead_m` beyond the newest footprint; their blend and its slope.
 
@@ -73,18 +73,19 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     for i in range(N_MODELS):
         change = bank.rise_m[i] + lead_m * bank.slope_ahead[i]
         growth = bank.slope_ahead[i] + lead_m * bank.bend_ahead[i]
-        if abs(change) > margin:
-            change, growth = math.copysign(margin, change), sign * math.copysign(max_slope, change)
-        if i < WAVES and change < 0.0:
-            change, growth = change * (1.0 - level_share), growth * (1.0 - level_share)
-        t = bank.height_m[i] + change + standoff_m
-        blend.model_m[i] = t
-        z += weights.weight[i] * t
-        slope += weights.weight[i] * growth
+        beyond = abs(change) > margin
+        growth = sign * math.copysign(max_slope, change) if beyond else growth
+        change = math.copysign(margin, change) if beyond else change
+        share = 1.0 - level_share if i < WAVES and change < 0.0 else 1.0
+        blend.model_m[i] = bank.height_m[i] + share * change + standoff_m
+        blend.model_slope[i] = share * growth
+    for i in range(N_MODELS):  # behind the loop above, which vectorises
+        z += weights.weight[i] * blend.model_m[i]
+        slope += weights.weight[i] * blend.model_slope[i]
     return z, slope
 
 
-@jit
+@jit_inlined
 def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     """Blend the models' setpoints; when a controller period is due, record each of them.
 
@@ -140,7 +141,7 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     return z
 
 
-@jit
+@jit_inlined
 def filter_setpoint(params, adaptive, target_m):
     """Filter the blend: it continues at the predicted rate while it is within the deadband.
 
@@ -165,7 +166,7 @@ def filter_setpoint(params, adaptive, target_m):
     return blend.filtered_m
 
 
-@jit
+@jit_inlined
 def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, stuck):
     """Setpoint within the range that is permitted [m].
 

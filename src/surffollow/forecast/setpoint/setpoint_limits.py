@@ -9,7 +9,7 @@ ground, which may be a slot.
 
 import math
 
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 
 PAUSE_S = 0.1  # after so long without a call the filter begins at the blend, the setpoint at the tool …
 PAUSE_INTERVALS = 3.0  # … or after so many intervals of a slow caller
@@ -66,7 +66,7 @@ def can_stop(e_m, v_mps, a_mps2, dt_s, v_max, a_max, jerk):
     return v * dt_s + stopping_distance(v, a_mps2, a_max, jerk) <= e_m
 
 
-@jit
+@jit_inlined
 def next_acceleration(e_m, v_mps, a_mps2, dt_s, next_s, v_max, a_max, jerk):
     """Acceleration of the next cycle toward a target `e_m` ≥ 0 ahead [m/s²].
 
@@ -123,7 +123,7 @@ def may_be_slot(params, gate):
     return gate.step_m < 0.0 and gate.travel_since_step_m < SLOT_GROUP_LENGTHS * params.step_travel_m
 
 
-@jit
+@jit_inlined
 def propagate_setpoint(params, adaptive, target_m, dt_s):
     """Move the setpoint for a time at one acceleration.
 
@@ -159,7 +159,7 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
         setpoint.approaching = 0
 
 
-@jit
+@jit_inlined
 def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     """Move the setpoint toward its target within the limits; after a pause it begins at the tool.
 
