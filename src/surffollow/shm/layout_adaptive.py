@@ -7,12 +7,14 @@ Only the stage that owns a record writes it, and `reset`.
 from __future__ import annotations
 
 from surffollow.shm.layout_adaptive_estimation import (
+    N_AXES,
     N_MODELS,
     N_PERIODS,
     Bank,
     Buffer,
     Estimate,
     Gate,
+    Lead,
     Noise,
     Shadow,
     Weights,
@@ -81,10 +83,12 @@ class Adaptation(Schema):
 class Blend(Schema):
     """Blended setpoint and its filter (`setpoint_blend`)."""
 
-    model_m = F64(N_MODELS, unit="m", doc="newest setpoints of the models")
+    axis_m = F64(N_AXES, unit="m", doc="newest setpoints of the simulated axes")
+    model_m = F64(N_MODELS, unit="m", doc="newest setpoints of the models, with their shares of the lead")
     model_slope = F64(N_MODELS, doc="their slopes along the path")
     setpoint_m = F64(unit="m", doc="their blend")
     rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
+    lead_share = F64(doc="blend of the shares of the lead")
     t_ns = I64(unit="ns", doc="when it was made")
     pose_ns = I64(unit="ns", doc="timestamp of the pose that it was made with")
     sample_ns = I64(unit="ns", doc="timestamp of the sample that it was made with")
@@ -166,6 +170,7 @@ class AdaptiveState(Schema):
     bank = Nested(Bank)
     shadow = Nested(Shadow)
     weights = Nested(Weights)
+    lead = Nested(Lead)
     estimate = Nested(Estimate)
     controller = Nested(Controller)
     plant = Nested(Plant)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from surffollow.shm.schema import F64, I64, Schema
 
-N_MODELS = 20  # of the bank
+N_MODELS, N_WAVES = 20, 8  # of the bank; the last of them are waves
+N_LEADS = N_MODELS - N_WAVES  # models with a share of the lead: not the waves, which are known ahead
+N_AXES = N_MODELS + N_LEADS  # simulated: of all models, the first without a lead; of those with all of it
 N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
@@ -70,9 +72,10 @@ class Shadow(Schema):
     """Shadow axes of the models (`shadow_axes`)."""
 
     t_ns = I64(unit="ns", doc="time up to which the axes are simulated")
-    setpoint_m = F64(N_MODELS * N_PERIODS, unit="m", doc="setpoints of all models, per period of a ring")
-    position_m = F64(N_MODELS, unit="m", doc="position of the axes")
-    velocity_mps = F64(N_MODELS, unit="m/s", doc="velocity")
+    setpoint_m = F64(N_AXES * N_PERIODS, unit="m", doc="setpoints of all axes, per period of a ring")
+    position_m = F64(N_AXES, unit="m", doc="position of the axes")
+    velocity_mps = F64(N_AXES, unit="m/s", doc="velocity")
+    before_m = F64(2 * N_MODELS, unit="m", doc="setpoints of the models in the two periods before")
     effort = F64(N_MODELS, unit="m^2/s^4", doc="mean squared acceleration of the setpoints")
     log_effort = F64(N_MODELS, doc="ln(1 + effort in units of 1 m²/s⁴)")
 
@@ -86,6 +89,14 @@ class Weights(Schema):
     cost = F64(N_MODELS, doc="logarithm of the index with penalties, then its exponential")
     weight = F64(N_MODELS, doc="weights, sum 1")
     waiting_s = F64(unit="s", doc="time since the weights were updated")
+
+
+class Lead(Schema):
+    """Share of the lead by which a model's setpoints compensate the lag of the axis (`setpoint_lead`)."""
+
+    excess_m2 = F64(N_LEADS, unit="m^2", doc="mean of e0 (e0 − e1), errors of its axes without a lead and with it")
+    effect_m2 = F64(N_LEADS, unit="m^2", doc="mean of (e0 − e1)²")
+    share = F64(N_MODELS, doc="share of a lead by τ times the rate of the height, 0 to 1; of a wave 1")
 
 
 class Estimate(Schema):

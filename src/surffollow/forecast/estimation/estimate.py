@@ -37,6 +37,7 @@ from surffollow.forecast.estimation.noise import (
     shift_heights,
     update_noise,
 )
+from surffollow.forecast.estimation.setpoint_lead import reset_lead
 from surffollow.forecast.plant.shadow_axes import (
     MIN_SPEED_MPS,
     compared_lag_s,
@@ -112,6 +113,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     reset_shadows(shadow, t_ns, h_m + standoff_m)
     if fresh:
         reset_index(weights)
+        reset_lead(adaptive.lead)
         reset_effort(shadow)
         initialise_noise(noise)
         initialise_gate(gate)

@@ -14,8 +14,9 @@ from surffollow.forecast.estimation.model_bank import (
     SCALE,
     WAVES,
 )
+from surffollow.forecast.estimation.setpoint_lead import update_lead
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_estimation import N_MODELS
+from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
 NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
 WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
@@ -52,10 +53,13 @@ def update_index(params, adaptive, travel_m, dt_s, target_m):
     )
     f = max(1.0 - math.exp(-rate), burn_in_rate)
     g = max(1.0 - math.exp(-rate / params.long_factor), burn_in_rate)
+    position_m, share = adaptive.shadow.position_m, adaptive.lead.share
     for i in range(N_MODELS):
-        e = adaptive.shadow.position_m[i] - target_m
+        with_lead_m = position_m[N_MODELS + i] if i < N_LEADS else position_m[i]
+        e = position_m[i] + share[i] * (with_lead_m - position_m[i]) - target_m
         weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
+    update_lead(params, adaptive, g, target_m)
     weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
     weights.waiting_s += dt_s
     if weights.waiting_s >= WEIGHT_INTERVAL_S:

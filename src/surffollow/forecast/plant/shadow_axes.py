@@ -1,11 +1,14 @@
-"""Shadow axes: a simulated copy of the controlled axis per model, driven by its setpoints."""
+"""Shadow axes: simulated copies of the controlled axis, driven by the setpoints of the models.
+
+A model whose lead has a share has two: one without the lead, one with all of it (`estimation.setpoint_lead`).
+"""
 
 import math
 
 from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, PERIOD_S, step_axis
 from surffollow.forecast.plant.controller_clock import period_at
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_MODELS, N_PERIODS
+from surffollow.shm.layout_adaptive_estimation import N_AXES, N_MODELS, N_PERIODS
 
 MAX_AXIS_STEPS = 32  # bounds the work per sample
 MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
@@ -37,14 +40,14 @@ def uncompared_m(adaptive):
 def reset_shadows(shadow, t_ns, z_m):
     """Put every shadow axis to rest at a height, at a time."""
     shadow.t_ns = t_ns
-    for i in range(N_MODELS):
+    for i in range(N_AXES):
         shadow.position_m[i] = z_m
         shadow.velocity_mps[i] = 0.0
 
 
 @jit_inlined
 def propagate_shadows(params, adaptive, t_ns):
-    """Propagate every shadow axis up to a time with the setpoints of its model; whether that is possible.
+    """Propagate every shadow axis up to a time with its setpoints; whether that is possible.
 
     Parameters
     ----------
@@ -61,8 +64,8 @@ def propagate_shadows(params, adaptive, t_ns):
         return True
     if span > MAX_AXIS_GAP_NS:
         slot = period_at(controller, t_ns) & (N_PERIODS - 1)
-        for i in range(N_MODELS):
-            shadow.position_m[i] = shadow.setpoint_m[slot * N_MODELS + i]
+        for i in range(N_AXES):
+            shadow.position_m[i] = shadow.setpoint_m[slot * N_AXES + i]
             shadow.velocity_mps[i] = 0.0
         return True
     steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
@@ -70,8 +73,8 @@ def propagate_shadows(params, adaptive, t_ns):
     tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
     for j in range(steps):
         k = period_at(controller, from_ns + (span * j) // steps)
-        first = (k & (N_PERIODS - 1)) * N_MODELS
-        for i in range(N_MODELS):
+        first = (k & (N_PERIODS - 1)) * N_AXES
+        for i in range(N_AXES):
             target = shadow.setpoint_m[first + i]
             shadow.position_m[i], shadow.velocity_mps[i] = step_axis(
                 tau, v_max, a_max, shadow.position_m[i], shadow.velocity_mps[i], target, dt
@@ -81,27 +84,24 @@ def propagate_shadows(params, adaptive, t_ns):
 
 @jit
 def update_effort(adaptive):
-    """Update the effort with the setpoints of the period that has just been recorded."""
-    shadow, controller = adaptive.shadow, adaptive.controller
-    n = controller.periods
-    now, one = N_MODELS * (n & (N_PERIODS - 1)), N_MODELS * ((n - 1) & (N_PERIODS - 1))
-    two = N_MODELS * ((n - 2) & (N_PERIODS - 1))
-    if n > 1:
-        for i in range(N_MODELS):
-            accel = PERIOD_RATE_HZ2 * (
-                shadow.setpoint_m[now + i] - 2.0 * shadow.setpoint_m[one + i] + shadow.setpoint_m[two + i]
-            )
+    """Update the effort of all models with their newest setpoints."""
+    shadow, newest_m, before_m = adaptive.shadow, adaptive.blend.model_m, adaptive.shadow.before_m
+    for i in range(N_MODELS):
+        one_m, two_m = before_m[i], before_m[N_MODELS + i]
+        if adaptive.controller.periods > 1:
+            accel = PERIOD_RATE_HZ2 * (newest_m[i] - 2.0 * one_m + two_m)
             shadow.effort[i] += EFFORT_RATE * (min(accel * accel, MAX_EFFORT) - shadow.effort[i])
             shadow.log_effort[i] = math.log(shadow.effort[i] + 1.0)  # in (1 m/s²)²
+        before_m[i], before_m[N_MODELS + i] = newest_m[i], one_m
 
 
 @jit
 def record_setpoints(adaptive):
-    """Record the newest setpoints of all models for the period that begins, and update the effort."""
+    """Record the newest setpoints of all axes for the period that begins, and update the effort."""
     shadow = adaptive.shadow
-    first = (adaptive.controller.periods & (N_PERIODS - 1)) * N_MODELS
-    for i in range(N_MODELS):
-        shadow.setpoint_m[first + i] = adaptive.blend.model_m[i]
+    first = (adaptive.controller.periods & (N_PERIODS - 1)) * N_AXES
+    for i in range(N_AXES):
+        shadow.setpoint_m[first + i] = adaptive.blend.axis_m[i]
     update_effort(adaptive)
 
 

@@ -113,16 +113,16 @@ def _responds(response, band_m):
 
 
 @jit
-def is_suspicious(error, motion, rate, band, tau_s, reach):
+def is_suspicious(error, motion, rate, band, lag_s, reach):
     """Whether an error that does not change is too great for a lag, and for the motion of the run.
 
     Parameters
     ----------
     error, motion, rate, band : float64  error, motion of the tool and its rate, band of the noise [m or rad]
-    tau_s : float64                      time constant of the axis [s]
+    lag_s : float64                      lag of a good follower [s]
     reach : float64                      motion that the surface leaves to the tool [m or rad]
     """
-    return error > max(band, LAG_TAUS * tau_s * rate) and error * motion > ERROR_MOTION * band * reach
+    return error > max(band, lag_s * rate) and error * motion > ERROR_MOTION * band * reach
 
 
 @jit
@@ -146,6 +146,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     band_m : float64    the mean has changed when it changes by more [m]
     """
     response, tau, standoff_m = adaptive.response, adaptive.plant.tau_s, params.offset_m
+    lag_s = (LAG_TAUS + 1.0 - adaptive.blend.lead_share) * tau  # of setpoints that lead by a share of τ
     response.top_z_m, response.low_z_m = max(response.top_z_m, tool_z_m), min(response.low_z_m, tool_z_m)
     descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
     rises = ASCENT_SHARE * ascent > descent and descent < band_m  # it has not turned down since
@@ -158,12 +159,12 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     motion = ASCENT_SHARE * ascent if rises else descent
     below = abs(adaptive.sample.lead_m) < MIN_LEAD_M
     error = abs(response.run_range_m - standoff_m) if below else 0.0
-    wrong = is_suspicious(error, motion, rate, band_m, tau, standoff_m)
+    wrong = is_suspicious(error, motion, rate, band_m, lag_s, standoff_m)
     quiet = _is_quiet(response)
     perceptible = motion > MOTION_BANDS * band_m
     suspicious = perceptible and (wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED)
     fast = number >= MAX_MEAN  # with fewer samples in τ the ground changes while an answer is awaited
-    doubtful = perceptible and fast and error > LAG_TAUS * tau * rate
+    doubtful = perceptible and fast and error > lag_s * rate
     doubtful = doubtful and error * motion > SHIFT_ERROR_MOTION * band_m * standoff_m
     shifts = suspicious or doubtful or motion > SHIFT_DESCENT * standoff_m
     if shifts and response.lift_m == 0.0 and response.run_samples > 2.0 * MIN_MEANS * number:

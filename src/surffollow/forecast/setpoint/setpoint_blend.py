@@ -15,7 +15,7 @@ from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, PAUS
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_MODELS
+from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
 DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
 UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer is taken back in a drop-out
@@ -69,19 +69,28 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
-    z, slope, sign = 0.0, 0.0, math.copysign(1.0, ahead_m)
+    z, slope, lead_share, sign = 0.0, 0.0, 0.0, math.copysign(1.0, ahead_m)
     for i in range(N_MODELS):
-        change = bank.rise_m[i] + lead_m * bank.slope_ahead[i]
-        growth = bank.slope_ahead[i] + lead_m * bank.bend_ahead[i]
-        beyond = abs(change) > margin
-        growth = sign * math.copysign(max_slope, change) if beyond else growth
-        change = math.copysign(margin, change) if beyond else change
-        share = 1.0 - level_share if i < WAVES and change < 0.0 else 1.0
-        blend.model_m[i] = bank.height_m[i] + share * change + standoff_m
-        blend.model_slope[i] = share * growth
+        share, rise = adaptive.lead.share[i], bank.rise_m[i]
+        change = rise + lead_m * bank.slope_ahead[i]
+        growth = bank.slope_ahead[i] + share * lead_m * bank.bend_ahead[i]
+        growth = sign * math.copysign(max_slope, change) if abs(change) > margin else growth
+        change, rise = min(max(change, -margin), margin), min(max(rise, -margin), margin)
+        fall = 1.0 - level_share if i < WAVES else 1.0
+        growth *= fall if change < 0.0 else 1.0
+        change *= fall if change < 0.0 else 1.0
+        rise *= fall if rise < 0.0 else 1.0
+        h = bank.height_m[i] + standoff_m
+        blend.model_m[i] = h + rise + share * (change - rise)
+        blend.axis_m[i] = h + (rise if i < N_LEADS else change)
+        if i < N_LEADS:
+            blend.axis_m[N_MODELS + i] = h + change
+        blend.model_slope[i] = growth
     for i in range(N_MODELS):  # behind the loop above, which vectorises
         z += weights.weight[i] * blend.model_m[i]
         slope += weights.weight[i] * blend.model_slope[i]
+        lead_share += weights.weight[i] * adaptive.lead.share[i]
+    blend.lead_share = lead_share
     return z, slope
 
 
