@@ -84,11 +84,11 @@ class Blend(Schema):
     """Blended setpoint and its filter (`setpoint_blend`)."""
 
     axis_m = F64(N_AXES, unit="m", doc="newest setpoints of the simulated axes")
-    model_m = F64(N_MODELS, unit="m", doc="newest setpoints of the models, with their shares of the lead")
+    model_m = F64(N_MODELS, unit="m", doc="newest setpoints of the models, with the lead that they have")
     model_slope = F64(N_MODELS, doc="their slopes along the path")
     setpoint_m = F64(unit="m", doc="their blend")
     rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
-    lead_share = F64(doc="blend of the shares of the lead")
+    lag_share = F64(doc="blend of the parts of the lead that are left out")
     t_ns = I64(unit="ns", doc="when it was made")
     pose_ns = I64(unit="ns", doc="timestamp of the pose that it was made with")
     sample_ns = I64(unit="ns", doc="timestamp of the sample that it was made with")

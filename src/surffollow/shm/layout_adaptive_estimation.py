@@ -5,8 +5,8 @@ from __future__ import annotations
 from surffollow.shm.schema import F64, I64, Schema
 
 N_MODELS, N_WAVES = 20, 8  # of the bank; the last of them are waves
-N_LEADS = N_MODELS - N_WAVES  # models with a share of the lead: not the waves, which are known ahead
-N_AXES = N_MODELS + N_LEADS  # simulated: of all models, the first without a lead; of those with all of it
+N_LEADS = N_MODELS - N_WAVES  # models that may lead less: not the waves, which are known ahead
+N_AXES = N_MODELS + N_LEADS  # simulated: of all models with their lead, of those without it, too
 N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
@@ -92,11 +92,13 @@ class Weights(Schema):
 
 
 class Lead(Schema):
-    """Share of the lead by which a model's setpoints compensate the lag of the axis (`setpoint_lead`)."""
+    """Part of the lead that the setpoints of a model leave out (`setpoint_lead`)."""
 
-    excess_m2 = F64(N_LEADS, unit="m^2", doc="mean of e0 (e0 − e1), errors of its axes without a lead and with it")
-    effect_m2 = F64(N_LEADS, unit="m^2", doc="mean of (e0 − e1)²")
-    share = F64(N_MODELS, doc="share of a lead by τ times the rate of the height, 0 to 1; of a wave 1")
+    excess_m2 = F64(
+        N_LEADS, unit="m^2", doc="mean of e1 (e1 − e0): errors of its axes with the lead, without it"
+    )
+    effect_m2 = F64(N_LEADS, unit="m^2", doc="mean of (e1 − e0)²")
+    left_out = F64(N_MODELS, doc="part of the lead by τ times the rate of the height, 0 to 1; of a wave 0")
 
 
 class Estimate(Schema):
@@ -107,7 +109,6 @@ class Estimate(Schema):
     accepted_ns = I64(unit="ns", doc="timestamp of the last sample that entered the estimate")
     frame = I64(doc="jump_pose when that sample was taken; less than now: it is in the frame before the jump")
     confirmed_ns = I64(unit="ns", doc="the same while the estimate had enough samples; 0: not begun")
-    settle_ns = I64(unit="ns", doc="the performance index is frozen until then")
     arc_length_m = F64(unit="m", doc="distance travelled by the footprint")
     height_m = F64(unit="m", doc="blended height")
     slope = F64(unit="1", doc="blended slope")

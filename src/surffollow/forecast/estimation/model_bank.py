@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_MODELS
+from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
 SLOPE, CURVE, WAVE = 0, 1, 2
 STRAIGHT_M = 1e3  # slopes that do not decay
@@ -29,15 +29,15 @@ MAX_LOOP_SHARE = 1.0 / math.pi  # … and changes ω by no more per correction o
 WAVE_VARIANCE_M2 = 1e-5  # of an amplitude at the start
 # rows of kind, scale, noise of slope, curvature or a wave's amplitude, noise of height
 BANK: Any = np.array(
-    [(SLOPE, STRAIGHT_M, 0.0, qh) for qh in (3e-5, 3e-4, 2e-3)]
-    + [(SLOPE, STRAIGHT_M, qs, 1e-5) for qs in (0.01, 0.12, 1.4)]
+    [(SLOPE, STRAIGHT_M, 0.0, qh) for qh in (3e-5, 1e-3)]
+    + [(SLOPE, STRAIGHT_M, qs, 1e-5) for qs in (0.01, 0.05, 0.5, 2.0)]
     + [(SLOPE, length_m, qs, 1e-3) for length_m, qs in ((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))]
     + [(CURVE, 0.3, qc, 1e-5) for qc in (3.0, 20.0, 150.0)]
     + [(WAVE, 2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in 0.6 * BAND ** (-2.0 * np.arange(8))]
 )
-assert len(BANK) == N_MODELS
 KIND = BANK[:, 0].astype(np.int64)
 N_SLOPES, WAVES = np.searchsorted(KIND, (CURVE, WAVE)).tolist()  # curves are between
+assert (len(BANK), WAVES) == (N_MODELS, N_LEADS)
 SCALE = BANK[:, 1].copy()  # length of decay [m]; of a wave the middle of its band [1/m]
 DECAY = np.where(KIND == SLOPE, 1.0 / SCALE, 0.0)  # 1/λ [1/m]
 # spectral densities over arc length; the noise of a wave's amplitude is one of its slope

@@ -1,13 +1,13 @@
-"""Share of the lead: how far the setpoints of a model lead the axis.
+"""Lead of the setpoints: which part of it each model leaves out.
 
 An axis with the lag τ follows ground of a known slope when its setpoint leads by τ times the rate of the
-height. Where slopes change at random, a part of that lead has the smaller error. Of each model two shadow axes
-are simulated, one without a lead and one with all of it. But for its limits an axis is linear, so that their
-errors e0 and e1 give the error e of any share φ, and the share of the least mean square:
+height. Where slopes change at random, a smaller lead has the smaller error. Two shadow axes of each model show
+it, one with the lead and one without it. An axis is linear but for its limits. Their errors e1 and e0 therefore
+give the error e when a part x of the lead is left out, and the part of the least mean square:
 
-    e = e0 − φ (e0 − e1),   φ = ⟨e0 (e0 − e1)⟩ / ⟨(e0 − e1)²⟩
+    e = e1 − x (e1 − e0),   x = ⟨e1 (e1 − e0)⟩ / ⟨(e1 − e0)²⟩
 
-Waves keep all of their lead: they are known ahead, and the share would hide that a wave number is wrong.
+Waves keep all of their lead: they are known ahead, and with less of it a wrong wave number would do less harm.
 """
 
 from surffollow.shm.jit import jit
@@ -16,7 +16,7 @@ from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
 @jit
 def update_lead(params, adaptive, rate, target_m):
-    """Update the shares with a sample.
+    """Update the parts that are left out with a sample.
 
     Parameters
     ----------
@@ -25,19 +25,16 @@ def update_lead(params, adaptive, rate, target_m):
     target_m : float64  desired height of the tool over the sample [m]
     """
     lead, position_m = adaptive.lead, adaptive.shadow.position_m
-    floor_m2 = params.score_floor_m * params.score_floor_m  # a lead without an effect has the whole share
+    floor_m2 = params.score_floor_m * params.score_floor_m  # a lead without an effect stays
     for i in range(N_LEADS):
-        effect_m, error_m = position_m[i] - position_m[N_MODELS + i], position_m[i] - target_m
+        error_m, effect_m = position_m[i] - target_m, position_m[i] - position_m[N_MODELS + i]
         lead.excess_m2[i] += rate * (error_m * effect_m - lead.excess_m2[i])
         lead.effect_m2[i] += rate * (effect_m * effect_m - lead.effect_m2[i])
-        share = (lead.excess_m2[i] + floor_m2) / (lead.effect_m2[i] + floor_m2)
-        lead.share[i] = min(max(share, 0.0), 1.0)
+        lead.left_out[i] = min(max(lead.excess_m2[i] / (lead.effect_m2[i] + floor_m2), 0.0), 1.0)
 
 
 @jit
 def reset_lead(lead):
-    """Lead by all of the lag."""
+    """Leave nothing out."""
     for i in range(N_LEADS):
-        lead.excess_m2[i] = lead.effect_m2[i] = 0.0
-    for i in range(N_MODELS):
-        lead.share[i] = 1.0
+        lead.excess_m2[i] = lead.effect_m2[i] = lead.left_out[i] = 0.0

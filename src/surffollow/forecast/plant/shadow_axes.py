@@ -1,6 +1,6 @@
 """Shadow axes: simulated copies of the controlled axis, driven by the setpoints of the models.
 
-A model whose lead has a share has two: one without the lead, one with all of it (`estimation.setpoint_lead`).
+A model that may lead less has two: with its lead and without it (`estimation.setpoint_lead`).
 """
 
 import math

@@ -146,7 +146,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     band_m : float64    the mean has changed when it changes by more [m]
     """
     response, tau, standoff_m = adaptive.response, adaptive.plant.tau_s, params.offset_m
-    lag_s = (LAG_TAUS + 1.0 - adaptive.blend.lead_share) * tau  # of setpoints that lead by a share of τ
+    lag_s = (LAG_TAUS + adaptive.blend.lag_share) * tau
     response.top_z_m, response.low_z_m = max(response.top_z_m, tool_z_m), min(response.low_z_m, tool_z_m)
     descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
     rises = ASCENT_SHARE * ascent > descent and descent < band_m  # it has not turned down since

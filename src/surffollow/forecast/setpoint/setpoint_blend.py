@@ -69,11 +69,11 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
-    z, slope, lead_share, sign = 0.0, 0.0, 0.0, math.copysign(1.0, ahead_m)
+    z, slope, lag_share, sign = 0.0, 0.0, 0.0, math.copysign(1.0, ahead_m)
     for i in range(N_MODELS):
-        share, rise = adaptive.lead.share[i], bank.rise_m[i]
+        rise, left_out = bank.rise_m[i], adaptive.lead.left_out[i]
         change = rise + lead_m * bank.slope_ahead[i]
-        growth = bank.slope_ahead[i] + share * lead_m * bank.bend_ahead[i]
+        growth = bank.slope_ahead[i] + (1.0 - left_out) * lead_m * bank.bend_ahead[i]
         growth = sign * math.copysign(max_slope, change) if abs(change) > margin else growth
         change, rise = min(max(change, -margin), margin), min(max(rise, -margin), margin)
         fall = 1.0 - level_share if i < WAVES else 1.0
@@ -81,16 +81,16 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         change *= fall if change < 0.0 else 1.0
         rise *= fall if rise < 0.0 else 1.0
         h = bank.height_m[i] + standoff_m
-        blend.model_m[i] = h + rise + share * (change - rise)
-        blend.axis_m[i] = h + (rise if i < N_LEADS else change)
-        if i < N_LEADS:
-            blend.axis_m[N_MODELS + i] = h + change
+        blend.model_m[i] = h + change - left_out * (change - rise)
         blend.model_slope[i] = growth
+        blend.axis_m[i] = h + change
+        if i < N_LEADS:
+            blend.axis_m[N_MODELS + i] = h + rise
     for i in range(N_MODELS):  # behind the loop above, which vectorises
         z += weights.weight[i] * blend.model_m[i]
         slope += weights.weight[i] * blend.model_slope[i]
-        lead_share += weights.weight[i] * adaptive.lead.share[i]
-    blend.lead_share = lead_share
+        lag_share += weights.weight[i] * adaptive.lead.left_out[i]
+    blend.lag_share = lag_share
     return z, slope
 
 

@@ -14,7 +14,7 @@ DISAGREEMENT_SIGMAS = 6.0  # … or by so many standard deviations of a reading 
 REGISTRATION_M = 2.0 * CELL_M  # error of the place of a known height
 DROP_LENGTH_M = 2.0 * MIN_LEAD_M  # over which a drop is taken, and for which a map is not used after an error
 MAX_UNCONFIRMED_DESCENT_M = 2.0 * DISAGREEMENT_M  # of a plan below the setpoint of the sensor under the tool
-BIAS_RATE = 0.02  # per sample
+BIAS_RATE = 0.004  # per sample
 MAX_BIAS_M = 5e-3  # greater differences are not a bias
 
 
