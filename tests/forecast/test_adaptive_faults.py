@@ -282,13 +282,12 @@ def test_a_coarse_sensor_on_a_ramp_is_not_taken_for_stuck(slope, speed_mps, lsb_
 @pytest.mark.parametrize(
     ("record", "name"),
     [
-        ("weights", "weight"),
         ("weights", "recent_m2"),
         ("weights", "longer_m2"),
         ("bank", "height_m"),
         ("bank", "wave_number"),
         ("bank", "p00"),
-        ("noise", "sigma_m"),
+        ("noise", "median_m"),
         ("shadow", "effort"),
     ],
 )

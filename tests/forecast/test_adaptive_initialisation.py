@@ -18,8 +18,8 @@ NAN = float("nan")
 
 @pytest.mark.parametrize("first_m", [0.001, 0.002, 0.0045, -0.0045])
 def test_a_first_sample_a_few_millimetres_off_is_soon_forgotten(first_m):
-    """Within the noise after 20 samples, and within a hundredth of it after 60."""
-    for samples, share in ((20, 1.0), (60, 0.01)):
+    """Within the noise after 20 samples, and within three hundredths of it after 60."""
+    for samples, share in ((20, 1.0), (60, 0.03)):
         heights = np.random.default_rng(5).normal(0.0, 1e-4, samples)
         heights[0] += first_m
         bad, _ = feed(heights, sigma=0.0)

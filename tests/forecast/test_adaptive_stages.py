@@ -119,7 +119,7 @@ def test_the_noise_is_estimated_to_a_tenth_and_soon():
 def test_the_slope_stays_when_a_step_is_confirmed():
     x = 1e-3 * np.arange(700)
     model = next(
-        i for i in range(N_MODELS) if BANK[i, 0] == SLOPE and BANK[i, 1] > 1.0 and BANK[i, 2] == 0.12
+        i for i in range(N_MODELS) if BANK[i, 0] == SLOPE and BANK[i, 1] > 1.0 and BANK[i, 2] == 0.05
     )
     for k in (604, 610, 700):
         a, taken = feed((0.1 * x + 0.03 * (np.arange(700) > 600))[:k])

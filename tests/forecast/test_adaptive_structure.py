@@ -34,6 +34,7 @@ OWNERS = {
     "bank": "model_bank",
     "shadow": "shadow_axes",
     "weights": "model_weights",
+    "lead": "setpoint_lead",
     "estimate": "estimate",
     "controller": "controller_clock",
     "plant": "plant_identification",

@@ -94,9 +94,7 @@ class Weights(Schema):
 class Lead(Schema):
     """Part of the lead that the setpoints of a model leave out (`setpoint_lead`)."""
 
-    excess_m2 = F64(
-        N_LEADS, unit="m^2", doc="mean of e1 (e1 − e0): errors of its axes with the lead, without it"
-    )
+    excess_m2 = F64(N_LEADS, unit="m^2", doc="mean of e1 (e1 − e0), errors with the lead, without it")
     effect_m2 = F64(N_LEADS, unit="m^2", doc="mean of (e1 − e0)²")
     left_out = F64(N_MODELS, doc="part of the lead by τ times the rate of the height, 0 to 1; of a wave 0")
 
@@ -109,6 +107,7 @@ class Estimate(Schema):
     accepted_ns = I64(unit="ns", doc="timestamp of the last sample that entered the estimate")
     frame = I64(doc="jump_pose when that sample was taken; less than now: it is in the frame before the jump")
     confirmed_ns = I64(unit="ns", doc="the same while the estimate had enough samples; 0: not begun")
+    settle_ns = I64(unit="ns", doc="the performance index is frozen until then")
     arc_length_m = F64(unit="m", doc="distance travelled by the footprint")
     height_m = F64(unit="m", doc="blended height")
     slope = F64(unit="1", doc="blended slope")

@@ -51,6 +51,7 @@ from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
+SETTLING_NS = 60_000_000  # after a start or a loss the performance index waits until setpoints have acted
 GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
 STEEPEST_SLOPE = 1.0  # of the ground, over the travel since the last accepted sample
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
@@ -125,6 +126,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     note_accepted(adaptive, t_ns)
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = t_ns
+    estimate.settle_ns = t_ns + SETTLING_NS
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
     store_ground(adaptive, estimate.arc_length_m, h_m)
     blend_models(adaptive)
@@ -227,7 +229,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     if adapt:
         update_scale(gate, innovation, width)
         # setpoints are for the footprint, or for the ground ahead of it where the sensor trails
-        if comparable:
+        if comparable and over_ns > estimate.settle_ns:
             update_index(params, adaptive, travel, dt, h_m + standoff_m)
         update_noise(adaptive, h_m)
     r = max(noise.sigma_m, MIN_NOISE_M) ** 2

@@ -1,13 +1,13 @@
 """Lead of the setpoints: which part of it each model leaves out.
 
 An axis with the lag τ follows ground of a known slope when its setpoint leads by τ times the rate of the
-height. Where slopes change at random, a smaller lead has the smaller error. Two shadow axes of each model show
-it, one with the lead and one without it. An axis is linear but for its limits. Their errors e1 and e0 therefore
-give the error e when a part x of the lead is left out, and the part of the least mean square:
+height. Where slopes change at random, a smaller lead has the smaller error. Two shadow axes of each model
+show it, one with the lead and one without it. An axis is linear but for its limits. Their errors e1 and e0
+therefore give the error e when a part x of the lead is left out, and the part of the least mean square:
 
     e = e1 − x (e1 − e0),   x = ⟨e1 (e1 − e0)⟩ / ⟨(e1 − e0)²⟩
 
-Waves keep all of their lead: they are known ahead, and with less of it a wrong wave number would do less harm.
+Waves keep all of their lead: they are known ahead, and with less of it a wrong wave number does less harm.
 """
 
 from surffollow.shm.jit import jit
