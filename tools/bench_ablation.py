@@ -60,7 +60,9 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "full": [],
     "powers without sharpness": [("model_weights", "(s * s * alpha * alpha)", "1.0")],
     "chance penalty": [("model_weights", "s * s * CHANCE_PENALTY[i]", "0.0")],
-    "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
+    "part of the lead left out": [
+        ("setpoint_lead", "lead.left_out[i] = min(max(", "lead.left_out[i] = 0.0 * min(max(")
+    ],
     "effort power": [
         (
             "model_weights",
@@ -128,7 +130,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "decaying slopes": [
         ("model_bank", "((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))", "((1e3, 0.0), (1e3, 0.0), (1e3, 0.0))")
     ],
-    "levels but one": [("model_bank", "for qh in (3e-5, 3e-4, 2e-3)]", "for qh in (3e-4, 3e-4, 3e-4)]")],
+    "levels but one": [("model_bank", "for qh in (3e-5, 1e-3)]", "for qh in (3e-4, 3e-4)]")],
     "longer horizon": [
         ("model_weights", "c += p_l * math.log(weights.longer_m2", "c += 0.0 * math.log(weights.longer_m2")
     ],
