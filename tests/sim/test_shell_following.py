@@ -103,7 +103,7 @@ def test_good_sensors_are_seldom_held_where_a_dome_steepens() -> None:
     held = sum(int(np.abs(e).max() > 1e-3) for e in errors)
     print(f"mean RMS {1e3 * rms_m:.2f} mm, {held} of {len(errors)} runs beyond 1 mm")
     assert rms_m < 0.33e-3
-    assert held <= 5
+    assert held <= 6
 
 
 @pytest.mark.parametrize("kind", ["stuck", "spike"])
