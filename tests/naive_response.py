@@ -150,7 +150,8 @@ class NaiveResponse:
         if self.rose:
             missing_m = self._lead_m(z_m) - self.lead_before_m
         self.because_repeated = self.is_repeated
-        if self.because_repeated or (self.applied and missing_m < 0.5 * self.lift_m):
+        obeyed = missing_m < (0.65 if self.rose else 0.5) * self.lift_m
+        if self.because_repeated or (self.applied and obeyed):
             self.phase = NONE
         elif late_s > longest_s:
             self._begin_run(z_m)

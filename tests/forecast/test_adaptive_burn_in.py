@@ -140,7 +140,7 @@ def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
         for horizon in ("recent_m2", "longer_m2"):
             a["weights"][horizon] *= factor
             a["weights"][horizon][10] *= 0.99
-        update_weights(default_params(), a)
+        update_weights(default_params(), a, 1.0)
         return a["weights"]["weight"][10] / a["weights"]["weight"][11]
 
     assert advantage(1.0, FULL_POWER_SAMPLES) > 2.5
@@ -152,7 +152,7 @@ def test_the_power_of_the_index_is_high_in_noise_and_low_in_great_errors():
 
 def test_levels_and_slopes_that_did_equally_well_have_equal_weights():
     a = evaluated(EARLY_SAMPLES, FULL_POWER_SAMPLES)
-    update_weights(default_params(), a)
+    update_weights(default_params(), a, 1.0)
     weights = a["weights"]["weight"]
     assert weights.sum() == pytest.approx(1.0)
     levels_and_slopes = weights[BANK[:, 0] == 0]

@@ -1,4 +1,4 @@
-"""The model weights and their penalties."""
+"""Time constants of the model weights and their penalties."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from surffollow.forecast.estimation.model_bank import (
 from surffollow.forecast.estimation.model_weights import (
     FULL_POWER_SAMPLES,
     ROUGH_EFFORT_POWER,
+    WEIGHT_TIME_CONSTANT_S,
     update_weights,
 )
 from surffollow.forecast.plant.shadow_axes import EFFORT_RATE, record_setpoints
@@ -32,26 +33,39 @@ from .feeding import default_params
 NOISE_M = 2.5e-4
 OLD, NEW = 0, 2
 CALM = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == 0.05))[0])
+AT_ONCE_S = 10.0
 
 
-def test_the_weights_follow_the_index_at_once():
-    """A model that has become the best one has the weight of the one that was."""
+def weight_change(rms_m: float, dt_s: float, scored: int = FULL_POWER_SAMPLES) -> float:
+    """How much of its way the weight of a model goes in a time after it has become the best one.
+
+    `scored`: samples that entered the index.
+    """
     a = zeros(AdaptiveState)[0]
     a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
         NOISE_M,
-        FULL_POWER_SAMPLES,
+        scored,
         FULL_POWER_SAMPLES,
     )
-    a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = 1.2 * NOISE_M**2
-    a["weights"]["recent_m2"][OLD] = NOISE_M**2
-    update_weights(default_params(), a)
-    before = a["weights"]["weight"].copy()
-    assert before.sum() == pytest.approx(1.0, abs=1e-12)
+    a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = 1.2 * rms_m * rms_m
+    a["weights"]["recent_m2"][OLD] = rms_m * rms_m
+    update_weights(default_params(), a, AT_ONCE_S)
+    before = float(a["weights"]["weight"][NEW])
     a["weights"]["recent_m2"][[OLD, NEW]] = a["weights"]["recent_m2"][[NEW, OLD]]
-    update_weights(default_params(), a)
-    assert a["weights"]["weight"][NEW] == pytest.approx(before[OLD])
-    assert a["weights"]["weight"][OLD] == pytest.approx(before[NEW])
-    assert before[OLD] > 5.0 * before[NEW]
+    there = a.copy()
+    update_weights(default_params(), there, AT_ONCE_S)
+    update_weights(default_params(), a, dt_s)
+    assert a["weights"]["weight"].sum() == pytest.approx(1.0, abs=1e-12)
+    assert (a["weights"]["weight"] >= 0.0).all()
+    return float((a["weights"]["weight"][NEW] - before) / (there["weights"]["weight"][NEW] - before))
+
+
+def test_weights_have_a_time_constant_that_is_shorter_while_little_was_scored():
+    for rms_m in (NOISE_M, 20.0 * NOISE_M):
+        assert weight_change(rms_m, 0.004) == pytest.approx(1.0 - math.exp(-0.004 / WEIGHT_TIME_CONSTANT_S))
+        assert weight_change(rms_m, 0.1) > 0.99, "a slow sensor's next reading is far away"
+        early = weight_change(rms_m, 0.004, scored=FULL_POWER_SAMPLES // 10)
+        assert early == pytest.approx(1.0 - math.exp(-0.004 / (0.1 * WEIGHT_TIME_CONSTANT_S)))
 
 
 def odds_of(kind: int, score_m2: float, scored: int) -> float:
@@ -63,7 +77,7 @@ def odds_of(kind: int, score_m2: float, scored: int) -> float:
         FULL_POWER_SAMPLES,
     )
     a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = score_m2
-    update_weights(default_params(), a)
+    update_weights(default_params(), a, AT_ONCE_S)
     i = int(np.flatnonzero(BANK[:, 0] == kind)[0])
     return float(a["weights"]["weight"][i] / a["weights"]["weight"][CALM])
 
@@ -89,7 +103,7 @@ def effort_odds(rms_m: float, scored: int) -> float:
     still, jumpy = 2, 3  # both follow slopes
     assert tuple(BANK[[still, jumpy], 0]) == (SLOPE, SLOPE)
     a["shadow"]["log_effort"][jumpy] = math.log(101.0)
-    update_weights(default_params(), a)
+    update_weights(default_params(), a, AT_ONCE_S)
     return float(a["weights"]["weight"][still] / a["weights"]["weight"][jumpy])
 
 
@@ -132,7 +146,7 @@ def fine_log_odds(scored: int) -> float:
             1e6 * NOISE_M**2,
         )
         a["weights"]["recent_m2"][OLD] *= better
-        update_weights(default_params(), a)
+        update_weights(default_params(), a, AT_ONCE_S)
         logs.append(math.log(a["weights"]["weight"][OLD] / a["weights"]["weight"][NEW]))
     return logs[0] - logs[1]
 
@@ -152,7 +166,7 @@ def test_the_weights_of_a_sensor_without_any_noise_stay_finite():
     a["weights"]["scored"], a["estimate"]["samples"] = FULL_POWER_SAMPLES, FULL_POWER_SAMPLES
     for score_m2 in (1e-8, 0.0):
         a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = score_m2
-        update_weights(default_params(), a)
+        update_weights(default_params(), a, 0.004)
         assert np.isfinite(a["weights"]["weight"]).all()
 
 

@@ -73,7 +73,7 @@ def test_something_that_moves_with_the_sensor_in_its_beam_ends_as_stuck(offset_m
 @pytest.mark.parametrize("offset_m", [-1e-3, -3e-3, -10e-3])
 @pytest.mark.parametrize("seed", range(3))
 def test_something_near_in_its_beam_does_not_drive_the_tool_away(offset_m, seed):
-    """GIVEN level ground WHEN the range is constant and too short THEN it does not climb for ever."""
+    """GIVEN level ground WHEN the range is constant and too short THEN it climbs by 4 stand-offs at most."""
 
     def blocked(t, r, rng):
         return (STANDOFF_M + offset_m if t > 2.0 else r) + SIGMA_M * rng.standard_normal()
@@ -81,7 +81,7 @@ def test_something_near_in_its_beam_does_not_drive_the_tool_away(offset_m, seed)
     heights, phases, states = closed_loop(lambda _: 0.0, blocked, seed=seed, seconds=6.0)
     assert RESPONSE_FAILED in phases
     assert states[-1]["health"] == "STUCK"
-    assert heights.max() < 12.0 * STANDOFF_M, "it would climb for ever"
+    assert heights.max() < 5.0 * STANDOFF_M, "it would climb for ever"
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -94,7 +94,7 @@ def test_a_range_that_freezes_on_a_rise_does_not_lead_the_tool_away(seed):
     heights, _, states = closed_loop(lambda x: 0.2 * min(x, 0.3), frozen, seed=seed, seconds=8.0)
     found = any(s["health"] == "STUCK" for s in states)
     print(f"{heights.min():.3f} to {heights.max():.3f} m, found: {found}")
-    assert heights.max() < 12.0 * STANDOFF_M, "it would climb for ever"
+    assert heights.max() < 5.0 * STANDOFF_M, "it would climb for ever"
     assert heights.min() > 0.7 * STANDOFF_M
 
 

@@ -427,7 +427,7 @@ def test_a_second_sensor_beside_or_behind_changes_nothing():
     alone = stand_off_rms([{}], [0.0])
     for where in ([-0.05, 0.0, 0.0],):
         both = stand_off_rms([{}, {"position_m": where}], [0.0, 0.0])
-        assert both == pytest.approx(alone, rel=0.1)
+        assert both == pytest.approx(alone, rel=0.15)
 
 
 def follow_at_rest(bad: dict[int, float], step_m: float = 0.0, count: int = 1500) -> tuple[float, float]:

@@ -25,8 +25,8 @@ FLOOR_M = 3e-5
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_part_is_that_of_the_least_mean_square(seed: int) -> None:
-    """The twin weighs all errors at once; the kernel updates means sample by sample."""
-    rng, n, rate = np.random.default_rng(seed), 400, 0.02
+    """The twin weighs all errors at once; the kernel updates means over two horizons sample by sample."""
+    rng, n, rates = np.random.default_rng(seed), 400, (0.1, 0.02)
     with_lead, without = rng.normal(0.0, 1e-3, (n, N_LEADS)), rng.normal(0.0, 1e-3, (n, N_LEADS))
     without += rng.uniform(-1.0, 2.0, N_LEADS) * with_lead
     target = rng.normal(0.1, 1e-3, n)
@@ -35,21 +35,25 @@ def test_the_part_is_that_of_the_least_mean_square(seed: int) -> None:
     for k in range(n):
         a["shadow"]["position_m"][:N_LEADS] = target[k] + with_lead[k]
         a["shadow"]["position_m"][N_MODELS:] = target[k] + without[k]
-        update_lead(params, a, rate, target[k])
-    weights = rate * (1.0 - rate) ** np.arange(n - 1, -1, -1)
-    effect = with_lead - without
-    parts = weights @ (with_lead * effect) / (weights @ effect**2 + FLOOR_M**2)
-    assert a["lead"]["left_out"][:N_LEADS] == pytest.approx(np.clip(parts, 0.0, 1.0), abs=1e-9)
+        update_lead(params, a, *rates, target[k])
+    effect, parts = with_lead - without, []
+    for rate in rates:
+        weights = rate * (1.0 - rate) ** np.arange(n - 1, -1, -1)
+        parts.append(weights @ (with_lead * effect) / (weights @ effect**2 + FLOOR_M**2))
+    least = np.clip(np.minimum(*parts), 0.0, 1.0)
+    assert a["lead"]["left_out"][:N_LEADS] == pytest.approx(least, abs=1e-9)
     assert (a["lead"]["left_out"][N_LEADS:] == 0.0).all(), "waves keep their lead"
     reset_lead(a["lead"])
     assert (a["lead"]["left_out"] == 0.0).all()
+    assert (a["lead"]["excess_m2"] == 0.0).all()
+    assert (a["lead"]["effect_m2"] == 0.0).all()
 
 
 def test_a_lead_without_an_effect_is_kept() -> None:
     a, params = zeros(AdaptiveState)[0], default_params()
     a["shadow"]["position_m"] = 0.1005  # both axes have the same error
     for _ in range(1000):
-        update_lead(params, a, 0.02, 0.1)
+        update_lead(params, a, 0.1, 0.02, 0.1)
     assert (a["lead"]["left_out"] == 0.0).all()
 
 
@@ -65,12 +69,30 @@ def parts_left_out(surface: str, speed_mps: float) -> Any:
 
         def step(self, t_ns: int, ranges_m: Any) -> Any:
             demand = follower.step(t_ns, ranges_m)
-            parts.append(float(follower._state["adaptive"][0]["blend"]["lag_share"]))
+            a = follower._state["adaptive"][0]
+            parts.append(float(a["weights"]["weight"] @ a["lead"]["left_out"]))
             return demand
 
     run, _ = scene.fresh()
     drive(Watched(), run, _)
     return np.array(parts[len(parts) // 2 :])
+
+
+def test_ground_that_becomes_predictable_has_its_lead_again_soon() -> None:
+    """GIVEN long rough ground WHEN a ramp begins THEN the part is gone after a recent horizon."""
+    a, params, rng = zeros(AdaptiveState)[0], default_params(), np.random.default_rng(4)
+    recent, longer = 1e-3 / 0.25, 1e-3 / 3.0  # a sample per millimetre
+    for _ in range(20_000):
+        error = rng.normal(0.0, 2e-3)
+        a["shadow"]["position_m"][:N_LEADS] = 0.1 + error
+        a["shadow"]["position_m"][N_MODELS:] = 0.1 + 0.2 * error
+        update_lead(params, a, recent, longer, 0.1)
+    assert a["lead"]["left_out"][0] == pytest.approx(1.0)
+    for _ in range(1000):  # with the lead there is no error, without it 2 mm
+        a["shadow"]["position_m"][:N_LEADS] = 0.1
+        a["shadow"]["position_m"][N_MODELS:] = 0.098
+        update_lead(params, a, recent, longer, 0.1)
+    assert a["lead"]["left_out"][0] < 0.05
 
 
 @pytest.mark.parametrize(

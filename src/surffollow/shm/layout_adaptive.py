@@ -88,7 +88,6 @@ class Blend(Schema):
     model_slope = F64(N_MODELS, doc="their slopes along the path")
     setpoint_m = F64(unit="m", doc="their blend")
     rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
-    lag_share = F64(doc="blend of the parts of the lead that are left out")
     t_ns = I64(unit="ns", doc="when it was made")
     pose_ns = I64(unit="ns", doc="timestamp of the pose that it was made with")
     sample_ns = I64(unit="ns", doc="timestamp of the sample that it was made with")

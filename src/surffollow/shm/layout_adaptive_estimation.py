@@ -94,8 +94,10 @@ class Weights(Schema):
 class Lead(Schema):
     """Part of the lead that the setpoints of a model leave out (`setpoint_lead`)."""
 
-    excess_m2 = F64(N_LEADS, unit="m^2", doc="mean of e1 (e1 − e0), errors with the lead, without it")
-    effect_m2 = F64(N_LEADS, unit="m^2", doc="mean of (e1 − e0)²")
+    excess_m2 = F64(2 * N_LEADS, unit="m^2", doc="mean of e1 (e1 − e0), errors with the lead, without it")
+    effect_m2 = F64(
+        2 * N_LEADS, unit="m^2", doc="mean of (e1 − e0)²; both over the recent, the longer horizon"
+    )
     left_out = F64(N_MODELS, doc="part of the lead by τ times the rate of the height, 0 to 1; of a wave 0")
 
 

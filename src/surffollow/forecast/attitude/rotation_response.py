@@ -15,7 +15,6 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between
 from surffollow.forecast.sensing.clock import MAX_GAP_NS
 from surffollow.forecast.sensing.response import (
-    LAG_TAUS,
     MIN_MEANS,
     MOTION_BANDS,
     RUN_SAMPLES,
@@ -106,8 +105,8 @@ def observe_rotation(params, adaptive, t_ns, pose):
             part = 1.0 / rotation.samples
             run[0], run[1] = run[0] + part * (mean[0] - run[0]), run[1] + part * (mean[1] - run[1])
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
-        deviation, lag_s = math.hypot(run[0], run[1]), LAG_TAUS * adaptive.plant.tau_s
-        wrong = is_suspicious(deviation, turn, rate, band, lag_s, params.max_tilt_rad)
+        deviation = math.hypot(run[0], run[1])
+        wrong = is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
         far = turn > FAR_TURN * params.max_tilt_rad
         if rotation.samples * share > MIN_MEANS and turn > probe and (wrong or far):
             rotation.phase, rotation.samples = ROTATION_TEST, 0

@@ -120,7 +120,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         reset_delay(adaptive.latency)
     estimate.samples = 1
     if fresh or adapt:
-        update_weights(params, adaptive)
+        update_weights(params, adaptive, math.inf)  # without their filter
     reset_gate(gate)
     estimate.sample_ns = t_ns
     note_accepted(adaptive, t_ns)

@@ -19,7 +19,9 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
 NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
+WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
 WEIGHT_INTERVAL_S = 0.005  # quicker sensors do not update the weights with each sample
+MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
 FULL_POWER_SAMPLES = 500  # for the full power of the index
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[KIND]
@@ -57,11 +59,11 @@ def update_index(params, adaptive, travel_m, dt_s, target_m):
         e = position_m[i] - left_out[i] * (position_m[i] - without_lead_m) - target_m
         weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
-    update_lead(params, adaptive, g, target_m)
+    update_lead(params, adaptive, f, g, target_m)
     weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
     weights.waiting_s += dt_s
     if weights.waiting_s >= WEIGHT_INTERVAL_S:
-        update_weights(params, adaptive)
+        update_weights(params, adaptive, weights.waiting_s)
 
 
 @jit
@@ -107,12 +109,13 @@ def compute_costs(params, adaptive):
 
 
 @jit
-def update_weights(params, adaptive):
-    """Compute the weights w_i ∝ exp(−c_i).
+def update_weights(params, adaptive, dt_s):
+    """Compute the weights w_i ∝ exp(−c_i), filtered in time.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`weights` updated)
+    dt_s : float64  time since the weights before [s]; ∞: no filter
     """
     weights = adaptive.weights
     compute_costs(params, adaptive)
@@ -122,8 +125,10 @@ def update_weights(params, adaptive):
     for i in range(N_MODELS):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
+    alpha = weights.scored / FULL_POWER_SAMPLES
+    rate = 1.0 - math.exp(-dt_s / max(WEIGHT_TIME_CONSTANT_S * alpha, MIN_TIME_CONSTANT_S))
     for i in range(N_MODELS):
-        weights.weight[i] = weights.cost[i] / total
+        weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
     weights.waiting_s = 0.0
 
 

@@ -7,6 +7,9 @@ therefore give the error e when a part x of the lead is left out, and the part o
 
     e = e1 − x (e1 − e0),   x = ⟨e1 (e1 − e0)⟩ / ⟨(e1 − e0)²⟩
 
+The means are over two horizons, and the smaller part counts. Ground that becomes predictable has its lead
+again as soon as the recent horizon shows it.
+
 Waves keep all of their lead: they are known ahead, and with less of it a wrong wave number does less harm.
 """
 
@@ -15,26 +18,31 @@ from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
 
 @jit
-def update_lead(params, adaptive, rate, target_m):
+def update_lead(params, adaptive, recent_rate, longer_rate, target_m):
     """Update the parts that are left out with a sample.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`lead` updated)
-    rate : float64      weight of the sample in the means
+    recent_rate, longer_rate : float64  weight of the sample in the means of a horizon
     target_m : float64  desired height of the tool over the sample [m]
     """
     lead, position_m = adaptive.lead, adaptive.shadow.position_m
     floor_m2 = params.score_floor_m * params.score_floor_m  # a lead without an effect stays
     for i in range(N_LEADS):
         error_m, effect_m = position_m[i] - target_m, position_m[i] - position_m[N_MODELS + i]
-        lead.excess_m2[i] += rate * (error_m * effect_m - lead.excess_m2[i])
-        lead.effect_m2[i] += rate * (effect_m * effect_m - lead.effect_m2[i])
-        lead.left_out[i] = min(max(lead.excess_m2[i] / (lead.effect_m2[i] + floor_m2), 0.0), 1.0)
+        lead.left_out[i] = 1.0
+        for k, rate in ((i, recent_rate), (N_LEADS + i, longer_rate)):
+            lead.excess_m2[k] += rate * (error_m * effect_m - lead.excess_m2[k])
+            lead.effect_m2[k] += rate * (effect_m * effect_m - lead.effect_m2[k])
+            part = lead.excess_m2[k] / (lead.effect_m2[k] + floor_m2)
+            lead.left_out[i] = min(max(part, 0.0), lead.left_out[i])
 
 
 @jit
 def reset_lead(lead):
     """Leave nothing out."""
+    for k in range(2 * N_LEADS):
+        lead.excess_m2[k] = lead.effect_m2[k] = 0.0
     for i in range(N_LEADS):
-        lead.excess_m2[i] = lead.effect_m2[i] = lead.left_out[i] = 0.0
+        lead.left_out[i] = 0.0

@@ -39,6 +39,9 @@ MIN_MEAN, MAX_MEAN = 2.0, 8.0  # samples in the mean range: those of a time cons
 BAND_SIGMAS = 3.0  # of the mean: the range has changed; of a sample, which moves the mean by no more
 TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
+# of a lift: a tool that misses less has obeyed it. In an ascent the setpoint of one that does not obey stays
+# ahead by all of it
+OBEYED = (0.5, 0.65)
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 
 
@@ -113,16 +116,16 @@ def _responds(response, band_m):
 
 
 @jit
-def is_suspicious(error, motion, rate, band, lag_s, reach):
+def is_suspicious(error, motion, rate, band, tau_s, reach):
     """Whether an error that does not change is too great for a lag, and for the motion of the run.
 
     Parameters
     ----------
     error, motion, rate, band : float64  error, motion of the tool and its rate, band of the noise [m or rad]
-    lag_s : float64                      lag of a good follower [s]
+    tau_s : float64                      time constant of the axis [s]
     reach : float64                      motion that the surface leaves to the tool [m or rad]
     """
-    return error > max(band, lag_s * rate) and error * motion > ERROR_MOTION * band * reach
+    return error > max(band, LAG_TAUS * tau_s * rate) and error * motion > ERROR_MOTION * band * reach
 
 
 @jit
@@ -146,7 +149,6 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     band_m : float64    the mean has changed when it changes by more [m]
     """
     response, tau, standoff_m = adaptive.response, adaptive.plant.tau_s, params.offset_m
-    lag_s = (LAG_TAUS + adaptive.blend.lag_share) * tau
     response.top_z_m, response.low_z_m = max(response.top_z_m, tool_z_m), min(response.low_z_m, tool_z_m)
     descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
     rises = ASCENT_SHARE * ascent > descent and descent < band_m  # it has not turned down since
@@ -159,12 +161,12 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     motion = ASCENT_SHARE * ascent if rises else descent
     below = abs(adaptive.sample.lead_m) < MIN_LEAD_M
     error = abs(response.run_range_m - standoff_m) if below else 0.0
-    wrong = is_suspicious(error, motion, rate, band_m, lag_s, standoff_m)
+    wrong = is_suspicious(error, motion, rate, band_m, tau, standoff_m)
     quiet = _is_quiet(response)
     perceptible = motion > MOTION_BANDS * band_m
     suspicious = perceptible and (wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED)
     fast = number >= MAX_MEAN  # with fewer samples in τ the ground changes while an answer is awaited
-    doubtful = perceptible and fast and error > lag_s * rate
+    doubtful = perceptible and fast and error > LAG_TAUS * tau * rate
     doubtful = doubtful and error * motion > SHIFT_ERROR_MOTION * band_m * standoff_m
     shifts = suspicious or doubtful or motion > SHIFT_DESCENT * standoff_m
     if shifts and response.lift_m == 0.0 and response.run_samples > 2.0 * MIN_MEANS * number:
@@ -221,7 +223,7 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
         missing_m = _excess_lead_m(adaptive, tool_z_m) - response.lead_m
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
     response.repeated = 1 if _repeats(response) else 0
-    if response.repeated != 0 or (applied and missing_m < 0.5 * response.lift_m):
+    if response.repeated != 0 or (applied and missing_m < OBEYED[response.rises] * response.lift_m):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
         _begin_run(response, tool_z_m)

@@ -69,7 +69,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
-    z, slope, lag_share, sign = 0.0, 0.0, 0.0, math.copysign(1.0, ahead_m)
+    z, slope, sign = 0.0, 0.0, math.copysign(1.0, ahead_m)
     for i in range(N_MODELS):
         rise, left_out = bank.rise_m[i], adaptive.lead.left_out[i]
         change = rise + lead_m * bank.slope_ahead[i]
@@ -89,8 +89,6 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     for i in range(N_MODELS):  # behind the loop above, which vectorises
         z += weights.weight[i] * blend.model_m[i]
         slope += weights.weight[i] * blend.model_slope[i]
-        lag_share += weights.weight[i] * adaptive.lead.left_out[i]
-    blend.lag_share = lag_share
     return z, slope
 
 
