@@ -25,7 +25,7 @@ from surffollow.forecast.setpoint.setpoint_blend import (
 )
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
-from surffollow.shm.layout_adaptive_estimation import N_MODELS, N_PERIODS
+from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS, N_PERIODS
 from surffollow.shm.layout_follow import FollowState
 
 from .feeding import MS, default_params, feed
@@ -169,6 +169,22 @@ def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
     lead_m = 0.1 * 0.04  # speed times τ
     assert targets[rising] == pytest.approx(0.1 + 0.2 * lead_m)
     assert targets[~rising] == pytest.approx(0.1)
+
+
+def test_a_model_leads_less_by_the_part_that_it_leaves_out():
+    """Its axes keep the whole lead and none: from them the part is learned."""
+    a = evaluated(EARLY_SAMPLES, FULL_POWER_SAMPLES)
+    slopes = np.arange(N_MODELS) < N_LEADS
+    a["bank"]["slope"] = 0.2
+    a["bank"]["wave_number"] = SCALE
+    a["lead"]["left_out"][slopes] = 0.25
+    blend_setpoints(default_params(), a, 0, 0.0, 0.1, 1)
+    whole_m = 0.2 * 0.1 * 0.04  # slope times speed times τ
+    assert a["blend"]["model_m"][slopes] == pytest.approx(0.1 + 0.75 * whole_m)
+    assert a["blend"]["model_m"][~slopes] == pytest.approx(0.1 + whole_m)
+    axes = a["shadow"]["setpoint_m"].reshape(N_PERIODS, -1)[0]
+    assert axes[:N_MODELS] == pytest.approx(0.1 + whole_m)
+    assert axes[N_MODELS:] == pytest.approx(0.1)
 
 
 def test_no_speed_is_measured_across_a_long_gap_of_reports():

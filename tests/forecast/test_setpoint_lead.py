@@ -13,6 +13,7 @@ from surffollow.benchmark.followers import follower_config
 from surffollow.benchmark.runner import scene_of
 from surffollow.benchmark.suite import Cell
 from surffollow.follower import Follower
+from surffollow.forecast.estimation.model_weights import update_index
 from surffollow.forecast.estimation.setpoint_lead import reset_lead, update_lead
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
@@ -47,6 +48,16 @@ def test_the_part_is_that_of_the_least_mean_square(seed: int) -> None:
     assert (a["lead"]["left_out"] == 0.0).all()
     assert (a["lead"]["excess_m2"] == 0.0).all()
     assert (a["lead"]["effect_m2"] == 0.0).all()
+
+
+def test_a_model_is_scored_with_the_lead_that_it_has() -> None:
+    """GIVEN axes that are 1 mm too high with the lead, 1 mm too low without WHEN half is left out."""
+    a, params = zeros(AdaptiveState)[0], default_params()
+    a["shadow"]["position_m"][:N_MODELS], a["shadow"]["position_m"][N_MODELS:] = 0.101, 0.099
+    a["lead"]["left_out"][:N_LEADS] = 0.5
+    update_index(params, a, 1e-3, 0.004, 0.1)
+    assert a["weights"]["recent_m2"][:N_LEADS] == pytest.approx(0.0, abs=1e-12)
+    assert (a["weights"]["recent_m2"][N_LEADS:] > 1e-8).all(), "waves have the whole lead"
 
 
 def test_a_lead_without_an_effect_is_kept() -> None:
