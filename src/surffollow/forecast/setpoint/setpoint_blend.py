@@ -44,9 +44,9 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """Setpoints of all models `ahead_m` beyond the newest footprint; their blend and its slope.
 
     A model adds its slope times `lead_m`, less the part that it leaves out. The change of height is clamped
-    to `max_slope` of the distance, plus 1 mm. Ground that is not seen may rise again where it fell: over the trail of a
-    sensor, and over a share of the travel since the newest sample of a slow one, slopes and curves that fall
-    count as level. Waves rise by themselves.
+    to `max_slope` of the distance, plus 1 mm. Ground that is not seen may rise again where it fell: over the
+    trail of a sensor, and over a share of the travel since the newest sample of a slow one, slopes and curves
+    that fall count as level. Waves rise by themselves.
 
     Parameters
     ----------
