@@ -122,6 +122,8 @@ class NaiveResponse:
         quiet = self.is_quiet
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
         doubtful = enough and self.number >= r.MAX_MEAN and no_lag and work > r.SHIFT_ERROR_MOTION
+        stops_m = rate_mps * (self.delay_s + self.tau_s)
+        far = self.number >= r.MAX_MEAN and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
         distant = motion_m > r.SHIFT_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * r.MIN_MEANS * self.number
         if long and self.shift_ns is None and (doubtful or distant or suspicious):
@@ -132,13 +134,17 @@ class NaiveResponse:
             self.lead_before_m = self._lead_m(z_m) - self.lift_m
             self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
             self.lift_m += r.MOTION_BANDS * self.band_m + self.tau_s * rate_mps
-        elif not rises and (unanswered or suspicious):
+            self.misses_m = self.lift_m
+        elif not rises and (unanswered or suspicious or far):
             self.phase, self.begin_ns, self.begin_z_m, self.lift_m = HOLD, t_ns, z_m, 0.0
 
     def _lead_m(self, z_m: float) -> float:
         return self.setpoint_m - z_m - self.climb_mps * (self.tau_s + self.delay_s)
 
     def _test(self, t_ns: int, z_m: float) -> None:
+        if self.rose:
+            misses_m = self._lead_m(z_m) - self.lead_before_m
+            self.misses_m += (misses_m - self.misses_m) / (4.0 * self.number)
         late_s, longest_s = (t_ns - self.begin_ns) * 1e-9 - self.answer_s, r.ANSWER_TAUS * self.tau_s
         if late_s <= 0.0 or (self.rose and late_s <= longest_s):
             return
@@ -146,9 +152,7 @@ class NaiveResponse:
             self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
             self.lift_m = r.MOTION_BANDS * self.band_m
             return
-        missing_m = self.begin_z_m + self.lift_m - z_m
-        if self.rose:
-            missing_m = self._lead_m(z_m) - self.lead_before_m
+        missing_m = self.misses_m if self.rose else self.begin_z_m + self.lift_m - z_m
         self.because_repeated = self.is_repeated
         obeyed = missing_m < (0.65 if self.rose else 0.5) * self.lift_m
         if self.because_repeated or (self.applied and obeyed):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 import pytest
@@ -27,20 +28,26 @@ def standard() -> Follower:
     return Follower({"sensors": [{"near_m": NEAR_M, "far_m": FAR_M}]}, offset_m=STANDOFF_M)
 
 
-def closed_loop(ground, read, seconds=4.0, seed=0, speed=0.2, led=None, run="normal"):
+def closed_loop(
+    ground, read, seconds=4.0, seed=0, speed=0.2, led=None, run="normal", follower=None, late_ms=0
+):
     """Heights above the ground [m], phases of the test and states every 10 ms of a tool on an axis.
 
-    `led`: height of the tool at a place [m]; another controller leads it.
+    A reading arrives `late_ms` after its time. `led`: height of the tool at a place [m]; another controller
+    leads it.
     """
-    f, rng, z = standard(), np.random.default_rng(seed), ground(0.0) + STANDOFF_M
+    f, rng, z = follower or standard(), np.random.default_rng(seed), ground(0.0) + STANDOFF_M
     f.set_params(run=run)
-    target, heights, phases, states = z, [], [], []
+    target, heights, phases, states, readings = z, [], [], [], deque()
     for ms in range(int(1e3 * seconds)):
         x = speed * ms * 1e-3
         if ms % 10 == 0:
             f.pose(ms * MS, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
         if ms % 4 == 0:
-            f.step(ms * MS, [read(ms * 1e-3, z - ground(x), rng)])
+            readings.append((ms, read(ms * 1e-3, z - ground(x), rng)))
+        if readings and readings[0][0] + late_ms <= ms:
+            at, reading = readings.popleft()
+            f.step(at * MS, [reading])
         if ms % 10 == 0:
             target = z + f.step(ms * MS, [math.nan])[2]
             heights.append(z - ground(x))
@@ -152,6 +159,31 @@ def test_a_range_that_freezes_at_the_stand_off_on_a_fall_is_found_within_half_th
     assert heights.min() > 0.7 * STANDOFF_M, "it would descend for ever"
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_range_that_freezes_on_a_steep_fall_is_found_before_the_tool_is_down(seed):
+    """GIVEN a fall of 45 degrees at 0.4 m/s WHEN it ends and the range froze THEN the tool stops in time.
+
+    It descends by four stand-offs per second: the answer to a small shift would come too late. A good sensor
+    is held there now and then, but never STUCK.
+    """
+    plant = {"tau_s": TAU_MS * 1e-3, "v_max_mps": 0.8, "a_max_mps2": 10.0}
+    config = {"sensors": [{"near_m": 0.03, "far_m": 0.17}], "plant": plant}
+
+    def frozen(t, r, rng):
+        return (STANDOFF_M if t > 1.5 else r) + SIGMA_M * rng.standard_normal()
+
+    def follow(ground, read):
+        follower = Follower(config, offset_m=STANDOFF_M)
+        return closed_loop(ground, read, 3.0, seed, speed=0.4, follower=follower, late_ms=60)
+
+    heights, _, _ = follow(lambda x: -min(max(x - 0.2, 0.0), 0.4), frozen)
+    print(f"least height {heights.min():.3f} m")
+    assert heights.min() > 0.2 * STANDOFF_M, "it would go on for 0.1 to 0.2 s"
+    heights, _, states = follow(lambda x: -max(x - 0.2, 0.0), noisy)
+    assert heights.min() > 0.95 * STANDOFF_M
+    assert all(s["health"] != "STUCK" for s in states)
+
+
 @pytest.mark.parametrize("slope", [0.1, 0.3])
 @pytest.mark.parametrize("read", [noisy, lambda _, r, rng: r], ids=["noisy", "exact"])
 def test_a_good_sensor_on_a_long_fall_answers_a_small_shift_without_a_hold(read, slope):
@@ -169,6 +201,14 @@ def test_a_sensor_that_leads_answers_the_shift_too(seed):
     cell = Cell("ramp-20", 0.4, Conditions().but(lead_m=0.05))
     scene = scene_of(cell, seed)
     assert score_run(scene, *run_method("ours", scene)).rms_m < 0.25e-3
+
+
+@pytest.mark.parametrize("seed", [120124, 120219, 120350, 120561])
+def test_a_demand_is_not_valid_when_unseen_ground_may_have_reached_the_tool(seed):
+    """GIVEN steep ground under a blocked sensor THEN VALID ends before the contact that no one can see."""
+    outcome = play(standard(), draw("blocked on a slope", seed))
+    assert outcome.contact, "otherwise the scenario shows nothing"
+    assert not outcome.contact_valid
 
 
 @pytest.mark.parametrize("family", ["blocked", "frozen"])

@@ -97,6 +97,7 @@ class Response(Schema):
     lift_m = F64(unit="m", doc="by which the setpoint is shifted up in a long run and in a lift")
     rises = I64(doc="1: the tool climbs, or climbed when the test began")
     lead_m = F64(unit="m", doc="excess lead of the unshifted setpoint when the lift began")
+    missing_m = F64(unit="m", doc="by which the tool misses a lift; of an ascent, a running mean")
     test_z_m = F64(unit="m", doc="height of the tool when the phase of the test began")
     test_ns = I64(unit="ns", doc="when phase or shift began")
     settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")

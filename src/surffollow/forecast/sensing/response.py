@@ -26,6 +26,7 @@ MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change
 ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
 SHIFT_ERROR_MOTION = 0.06  # the same, from which the setpoint is shifted up …
 SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off …
+MAX_DESCENT = 0.5  # of the stand-off: a tool that would descend farther before it stops is held at once
 SHIFT_BANDS = 2.0  # … by so many bands
 ASCENT_SHARE = 0.25  # of an ascent counts
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
@@ -67,6 +68,7 @@ def _begin_phase(response, phase, t_ns, tool_z_m, lift_m):
     lift_m : float64    by which the tool or its setpoint is lifted [m]
     """
     response.phase, response.test_ns, response.test_z_m, response.lift_m = phase, t_ns, tool_z_m, lift_m
+    response.missing_m = lift_m
 
 
 @jit
@@ -171,13 +173,15 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     shifts = suspicious or doubtful or motion > SHIFT_DESCENT * standoff_m
     if shifts and response.lift_m == 0.0 and response.run_samples > 2.0 * MIN_MEANS * number:
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
+    stop_m = rate * (adaptive.latency.delay_s + tau)  # until the axis has stopped
+    far = fast and descent + stop_m > MAX_DESCENT * standoff_m
     late = response.lift_m > 0.0 and (t_ns - response.test_ns) * 1e-9 > _answer_s(adaptive, number)
     response.rises, response.repeated = 1 if rises else 0, 1 if repeats and not (wrong or quiet) else 0
     if rises and late:  # the greater shift stands out from the lag of the axis
         response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
         lift_m = response.lift_m + MOTION_BANDS * band_m + tau * rate
         _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m, lift_m)
-    elif not rises and (late or suspicious):
+    elif not rises and (late or suspicious or far):
         _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m, 0.0)
 
 
@@ -211,6 +215,9 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
     band_m : float64    as in `_update_run`
     """
     response, rises = adaptive.response, adaptive.response.rises != 0
+    if rises:  # under a constant range the setpoint oscillates: the mean of four means of ranges counts
+        missing_m = _excess_lead_m(adaptive, tool_z_m) - response.lead_m
+        response.missing_m += (missing_m - response.missing_m) / (2.0 * MIN_MEANS * number)
     late_s = (t_ns - response.test_ns) * 1e-9 - _answer_s(adaptive, number)
     longest_s = ANSWER_TAUS * adaptive.plant.tau_s
     if late_s <= (longest_s if rises else 0.0):
@@ -218,12 +225,11 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
     if response.phase == RESPONSE_HOLD:
         _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m, MOTION_BANDS * band_m)
         return
-    missing_m = response.test_z_m + response.lift_m - tool_z_m
-    if rises:
-        missing_m = _excess_lead_m(adaptive, tool_z_m) - response.lead_m
+    if not rises:
+        response.missing_m = response.test_z_m + response.lift_m - tool_z_m
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
     response.repeated = 1 if _repeats(response) else 0
-    if response.repeated != 0 or (applied and missing_m < OBEYED[response.rises] * response.lift_m):
+    if response.repeated != 0 or (applied and response.missing_m < OBEYED[response.rises] * response.lift_m):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
         _begin_run(response, tool_z_m)

@@ -11,6 +11,7 @@ from surffollow.forecast.plant.controller_clock import begin_period
 from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.measurement import has_turned_back
+from surffollow.forecast.sensing.unseen_ground import rise_rate
 from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, PAUSE_S
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
@@ -193,7 +194,6 @@ def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, stuck):
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(adaptive.response, standoff_m)
     # ground that is not seen may rise as steeply as it did before
-    rise_mps = max(math.sqrt(estimate.slope_power), estimate.slope) * kinematics.speed_mps
-    unseen = tool_z_m + rise_mps * adaptive.plant.tau_s if stuck else -math.inf
+    unseen = tool_z_m + rise_rate(adaptive) * adaptive.plant.tau_s if stuck else -math.inf
     tested = min(max(target_m, unseen, lowest), highest)
     return max(tested, no_descent, withheld_setpoint(adaptive, standoff_m))
