@@ -18,7 +18,7 @@ def rise_rate(adaptive):
 def unseen_rise(adaptive):
     """Height by which it may have risen since the last range that is known to be right [m].
 
-    A test of the response puts all ranges in doubt since its run began. Under a slow sensor the
+    During a test of the response all since its run began are uncertain. Under a slow sensor the
     ground changes while an answer is awaited, and a test may fail by chance.
     """
     unseen_s = (adaptive.clock.now_ns - adaptive.hold.t_ns) * 1e-9
