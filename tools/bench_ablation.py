@@ -152,7 +152,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
-    "test of the response": [("response", "elif not rises and (late or suspicious):", "elif False:")],
+    "test of the response": [("response", "elif not rises and (late or suspicious or far):", "elif False:")],
     "shift before a hold": [("response", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
     "repeated ranges": [("response", "REPEAT_BAND = 0.25", "REPEAT_BAND = -1.0")],
 }

@@ -11,11 +11,10 @@ from scipy.optimize import lsq_linear
 
 from surffollow.forecast.estimation import model_bank as bank
 from surffollow.forecast.plant.axis_model import (
-    ATTAINABLE_SHARE,
     PERIOD_S,
     axis_velocity,
     invert_axis,
-    velocity_after_period,
+    position_ahead,
 )
 from surffollow.forecast.setpoint import preview_control as plan
 from surffollow.shm.dtypes import zeros
@@ -228,6 +227,7 @@ def test_the_plan_is_the_bounded_least_squares_solution(seed, known):
     aims = np.append(ground[1:], ground[-1])
     # positions are linear in the accelerations: p = v·dt·(k+1) + S·u with u in metres per tick²
     s = np.array([[max(0, i - j + 1) for j in range(n)] for i in range(n)], float)
+    s[:, 0] /= 2.0  # the velocity is that of now, the first acceleration acts for half a period before
     rows = np.vstack([np.sqrt(weight)[:, None] * s, math.sqrt(4e-8 / dt**4) * np.eye(n)])
     expected = np.concatenate([np.sqrt(weight) * (aims - v * dt * after), np.zeros(n)])
 
@@ -239,23 +239,22 @@ def test_the_plan_is_the_bounded_least_squares_solution(seed, known):
     assert np.abs(a["plan"]["acceleration_m"]).max() <= 0.9 * 2.0 * dt * dt * (1 + 1e-9)
 
 
-def test_the_inverted_axis_reaches_the_speed_that_was_asked():
+def test_the_inverted_axis_reaches_the_position_that_was_asked():
     params = zeros(Params)
     params["plant_a_max_mps2"], params["plant_v_max_mps"] = 2.0, 0.2
     for v in (-0.1, 0.0, 0.07):
-        for more in (-0.015, 0.0, 0.015):
-            target = invert_axis(params[0], 0.04, 0.3, v, v + more)
-            assert velocity_after_period(params[0], 0.04, 0.3, v, target) == pytest.approx(v + more, abs=1e-4)
+        for more in (-0.2e-3, 0.0, 0.2e-3):
+            wanted = 0.3 + v * 2.0 * PERIOD_S + more
+            target = invert_axis(params[0], 0.04, 0.3, v, wanted)
+            assert position_ahead(params[0], 0.04, 0.3, v, target) == pytest.approx(wanted, abs=2e-6)
 
 
-@pytest.mark.parametrize("wanted_mps", [-5.0, 5.0])
-def test_a_speed_that_the_axis_does_not_attain_gives_the_setpoint_of_the_next_attainable_one(
-    wanted_mps: float,
-) -> None:
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+@pytest.mark.parametrize("v_mps", [0.0, 0.15])
+def test_a_position_that_the_axis_does_not_attain_gives_the_setpoint_of_the_next_attainable_one(way, v_mps):
     params = zeros(Params)
     params["plant_a_max_mps2"], params["plant_v_max_mps"] = 2.0, 0.2
-    most = math.copysign(ATTAINABLE_SHARE * 2.0 * PERIOD_S, wanted_mps)
-    target = invert_axis(params[0], 0.04, 0.3, 0.0, wanted_mps)
-    assert target == invert_axis(params[0], 0.04, 0.3, 0.0, most)
-    assert velocity_after_period(params[0], 0.04, 0.3, 0.0, target) == pytest.approx(most, abs=1e-5)
-    assert abs(target - 0.3) < 2e-3, "without the bound the end of the interval searched: metres away"
+    target = invert_axis(params[0], 0.04, 0.3, v_mps, 0.3 + 5.0 * way)
+    best = position_ahead(params[0], 0.04, 0.3, v_mps, 0.3 + 5.0 * way)
+    assert position_ahead(params[0], 0.04, 0.3, v_mps, target) == pytest.approx(best, abs=5e-5)
+    assert abs(target - 0.3) < 0.015, "without the bound the end of the interval searched"

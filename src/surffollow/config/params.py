@@ -60,7 +60,7 @@ PARAMS: dict[str, ParamSpec] = {
     "step_travel_m": ParamSpec(2.5e-3, 0.0, 1e3, "m"),
     "step_samples": ParamSpec(3, 1, 100, whole=True),
     "max_wait_s": ParamSpec(0.005, 0.0, 100.0, "s"),
-    "plan_effort_s4": ParamSpec(3e-8, 0.0, 1e12),
+    "plan_effort_s4": ParamSpec(6e-8, 0.0, 1e12),
     "orient": ParamSpec(1, 0, 1, whole=True, choices=("off", "on")),
     "max_turn_rad": ParamSpec(0.35, 0.0, 1.6, "rad"),
     "permitted_turn_rad": ParamSpec(1e-3, 0.0, 1.6, "rad"),

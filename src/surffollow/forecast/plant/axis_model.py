@@ -40,45 +40,48 @@ def step_axis(tau_s, v_max_mps, a_max_mps2, z_m, v_mps, target_m, dt_s):
 
 
 @jit
-def velocity_after_period(params, tau_s, z_m, v_mps, target_m):
-    """Velocity of the axis one controller period from now with a setpoint [m/s].
+def position_ahead(params, tau_s, z_m, v_mps, target_m):
+    """Position of the axis two controller periods from now, the second one at constant velocity [m].
 
     Parameters
     ----------
     params : record of `Params`
     tau_s : float64       time constant [s]
     z_m, v_mps : float64  position [m] and velocity [m/s] now
-    target_m : float64    setpoint [m]
+    target_m : float64    setpoint of the first period [m]
     """
     v_max, a_max, dt = params.plant_v_max_mps, params.plant_a_max_mps2, PERIOD_S / AXIS_STEPS
     for _ in range(AXIS_STEPS):
         z_m, v_mps = step_axis(tau_s, v_max, a_max, z_m, v_mps, target_m, dt)
-    return v_mps
+    return z_m + v_mps * PERIOD_S
 
 
 @jit
-def invert_axis(params, tau_s, z_m, v_mps, wanted_mps):
-    """Setpoint with which the axis has a velocity one controller period from now [m].
+def invert_axis(params, tau_s, z_m, v_mps, wanted_m):
+    """Setpoint with which `position_ahead` is the one wanted [m].
 
-    Bisection: the velocity is monotone in the setpoint. A velocity that the axis does not attain would give
-    a setpoint at the end of the interval searched; the next attainable one is taken instead.
+    Bisection: that position is monotone in the setpoint. One that the axis does not attain would give a
+    setpoint at the end of the interval searched; the next attainable one is taken instead.
 
     Parameters
     ----------
     params : record of `Params`
     tau_s : float64       time constant [s]
     z_m, v_mps : float64  position [m] and velocity [m/s] now
-    wanted_mps : float64  the velocity after the period [m/s]
+    wanted_m : float64    the position [m]
     """
-    change = ATTAINABLE_SHARE * params.plant_a_max_mps2 * PERIOD_S
-    fastest = ATTAINABLE_SHARE * params.plant_v_max_mps
-    wanted_mps = min(max(wanted_mps, v_mps - change, -fastest), v_mps + change, fastest)
-    v = abs(wanted_mps)
+    straight_m, farthest_m = (
+        2.0 * v_mps * PERIOD_S,
+        2.0 * ATTAINABLE_SHARE * params.plant_v_max_mps * PERIOD_S,
+    )
+    change_m = 1.5 * ATTAINABLE_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
+    travel_m = min(max(wanted_m - z_m, straight_m - change_m, -farthest_m), straight_m + change_m, farthest_m)
+    v = max(abs(v_mps), abs(travel_m) / PERIOD_S)
     reach = v * tau_s + v * v / params.plant_a_max_mps2 + 0.01
     low, high = z_m - reach, z_m + reach
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if velocity_after_period(params, tau_s, z_m, v_mps, middle) < wanted_mps:
+        if position_ahead(params, tau_s, z_m, v_mps, middle) - z_m < travel_m:
             low = middle
         else:
             high = middle

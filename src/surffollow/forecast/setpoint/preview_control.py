@@ -2,7 +2,8 @@
 
     min  ½ Σ w (z − g)² + ½ λ Σ a²   subject to |a| ≤ a_max
 
-z is the axis, g the wanted height, a the second difference of z; position and velocity of the axis are given.
+z is the axis, g the wanted height, a the second difference of z; position and velocity v of the axis are
+given: before now lies the point z_1 - 2vT, so that v is the velocity now and not that of half a period ago.
 It is solved by the alternating direction method of multipliers (ADMM): one pentadiagonal factorisation and
 a clip, a fixed number of times, warm-started from the last period. Extrapolated ground beyond the known piece
 has half the weight, so that the axis does not arrive there too fast; ground farther on has none.
@@ -20,6 +21,9 @@ from surffollow.shm.layout_adaptive import HORIZON
 # convergence with a warm start is compared with a general solver in the tests
 ITERATIONS, ADMM_PENALTY = 25, 60.0
 ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
+# of the second acceleration, in the position two periods from now: ½ at constant velocity in the second period,
+# 1 in the plan. With 1 an axis is early (second passes 1.03 times the error), with ½ late at edges
+SECOND_SHARE = 0.75
 UNKNOWN_WEIGHT = 1e-6  # not 0, so that the matrix stays regular
 EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # periods beyond the known ground
 
@@ -34,11 +38,11 @@ def point_weight(k, known):
 
 @jit
 def factorise(plan, known, stiffness):
-    """LDLᵀ of W + stiffness·DᵀD, for second differences D that begin with two known points."""
+    """LDLᵀ of W + stiffness·DᵀD, for second differences D with known position and velocity at the begin."""
     n = HORIZON
     for k in range(n):
-        # row k of DᵀD: differences b_k (centre k-1), b_{k+1}, b_{k+2}
-        d = 1.0 + (4.0 if k + 1 < n else 0.0) + (1.0 if k + 2 < n else 0.0)
+        # row k of DᵀD: differences b_k (centre k-1; b_0 is twice the first point), b_{k+1}, b_{k+2}
+        d = (4.0 if k == 0 else 1.0) + (4.0 if k + 1 < n else 0.0) + (1.0 if k + 2 < n else 0.0)
         e = (-2.0 if k + 1 < n else 0.0) + (-2.0 if k + 2 < n else 0.0)
         f = 1.0 if k + 2 < n else 0.0
         d, e, f = point_weight(k, known) + stiffness * d, stiffness * e, stiffness * f
@@ -72,7 +76,7 @@ def solve(plan):
 
 @jit
 def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
-    """Solve the plan; returns the velocity that the axis should have one period from now.
+    """Solve the plan; returns where the axis should be two periods from now (`position_ahead`).
 
     Parameters
     ----------
@@ -83,7 +87,7 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
 
     Returns
     -------
-    float64 [m/s]
+    float64 [m]
     """
     plan = adaptive.plan
     n = HORIZON
@@ -91,7 +95,7 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     effort = params.plan_effort_s4 / PERIOD_S**4
     stiffness = effort + ADMM_PENALTY
     factorise(plan, known, stiffness)
-    before = -v_mps * PERIOD_S  # the point before now, relative to now
+    begin = 2.0 * v_mps * PERIOD_S  # b_0 = 2 z_0 - 2 v T, relative to now
     for k in range(n - 1):
         plan.acceleration_m[k] = plan.acceleration_m[k + 1]
         plan.multiplier_m[k] = plan.multiplier_m[k + 1]
@@ -103,16 +107,14 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
             plan.position_m[k] = point_weight(k, known) * ground
         for k in range(n):
             # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
-            r = ADMM_PENALTY * (plan.acceleration_m[k] - plan.multiplier_m[k]) - (
-                stiffness * before if k == 0 else 0.0
-            )
-            plan.position_m[k] += r
+            r = ADMM_PENALTY * (plan.acceleration_m[k] - plan.multiplier_m[k])
+            plan.position_m[k] += 2.0 * (r + stiffness * begin) if k == 0 else r
             if k >= 1:
                 plan.position_m[k - 1] -= 2.0 * r
             if k >= 2:
                 plan.position_m[k - 2] += r
         solve(plan)
-        z2, z1 = before, 0.0
+        z2, z1 = plan.position_m[0] - begin, 0.0
         for k in range(n):
             b = plan.position_m[k] - 2.0 * z1 + z2
             z2, z1 = z1, plan.position_m[k]
@@ -120,7 +122,7 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
             plan.multiplier_m[k] += b - u
             plan.acceleration_m[k] = u
     # the clipped accelerations are feasible, the points approximately
-    return v_mps + (plan.acceleration_m[0] + 0.5 * plan.acceleration_m[1]) / PERIOD_S
+    return z_m + 2.0 * v_mps * PERIOD_S + plan.acceleration_m[0] + SECOND_SHARE * plan.acceleration_m[1]
 
 
 @jit
@@ -156,6 +158,6 @@ def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     z_m, v_mps : float64  axis at the latch time [m, m/s]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    speed = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
-    speed = max(speed, least_speed(params, adaptive, known, z_m, standoff_m))
-    adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, speed)
+    wanted_m = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
+    wanted_m = max(wanted_m, z_m + 2.0 * PERIOD_S * least_speed(params, adaptive, known, z_m, standoff_m))
+    adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, wanted_m)
