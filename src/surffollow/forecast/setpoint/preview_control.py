@@ -21,7 +21,7 @@ from surffollow.shm.layout_adaptive import HORIZON
 # convergence with a warm start is compared with a general solver in the tests
 ITERATIONS, ADMM_PENALTY = 25, 60.0
 ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
-# of the second acceleration, in the position two periods from now: ½ at constant velocity in the second period,
+# of the second acceleration, in the position two periods from now: ½ at constant velocity in the second one,
 # 1 in the plan. With 1 an axis is early (second passes 1.03 times the error), with ½ late at edges
 SECOND_SHARE = 0.75
 UNKNOWN_WEIGHT = 1e-6  # not 0, so that the matrix stays regular
