@@ -8,7 +8,7 @@ BISECTIONS = 24  # resolution: 6e-8 of the interval searched
 PERIOD_S = 0.01  # of the plan: one controller period
 AXIS_STEP_NS = 2_000_000  # of all axis models
 AXIS_STEPS = round(PERIOD_S * 1e9) // AXIS_STEP_NS  # in a controller period
-ATTAINABLE_SHARE = 0.999  # of the greatest velocity, and of its change in a period; the rest is for rounding
+ATTAINABLE_SHARE = 0.999  # of the range of positions two periods from now; the rest is for rounding
 
 
 @jit
@@ -70,18 +70,17 @@ def invert_axis(params, tau_s, z_m, v_mps, wanted_m):
     z_m, v_mps : float64  position [m] and velocity [m/s] now
     wanted_m : float64    the position [m]
     """
-    straight_m, farthest_m = (
-        2.0 * v_mps * PERIOD_S,
-        2.0 * ATTAINABLE_SHARE * params.plant_v_max_mps * PERIOD_S,
-    )
-    change_m = 1.5 * ATTAINABLE_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
-    travel_m = min(max(wanted_m - z_m, straight_m - change_m, -farthest_m), straight_m + change_m, farthest_m)
-    v = max(abs(v_mps), abs(travel_m) / PERIOD_S)
+    v_mps = min(max(v_mps, -params.plant_v_max_mps), params.plant_v_max_mps)  # of an estimate it may be more
+    v = abs(v_mps) + params.plant_a_max_mps2 * PERIOD_S  # the greatest that a setpoint can give
     reach = v * tau_s + v * v / params.plant_a_max_mps2 + 0.01
     low, high = z_m - reach, z_m + reach
+    lowest_m = position_ahead(params, tau_s, z_m, v_mps, low)
+    highest_m = position_ahead(params, tau_s, z_m, v_mps, high)
+    rest_m = (1.0 - ATTAINABLE_SHARE) * (highest_m - lowest_m)
+    wanted_m = min(max(wanted_m, lowest_m + rest_m), highest_m - rest_m)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if position_ahead(params, tau_s, z_m, v_mps, middle) - z_m < travel_m:
+        if position_ahead(params, tau_s, z_m, v_mps, middle) < wanted_m:
             low = middle
         else:
             high = middle
