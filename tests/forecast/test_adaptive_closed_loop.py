@@ -598,3 +598,19 @@ def test_a_latency_that_is_set_while_following_counts(seed):
         worst.append(np.abs(found[6000:] - CELL.standoff_m).max())
     print(f"greatest error {1e3 * worst[1]:.2f} mm, set from the start {1e3 * worst[0]:.2f} mm")
     assert worst[1] < 1.5 * worst[0]
+
+
+@pytest.mark.parametrize("cycle_ms", [8, 10, 12, 16])
+def test_a_plan_suits_controllers_of_other_cycles(cycle_ms):
+    """GIVEN a sensor that leads over waves WHEN the controller has its own cycle THEN the error is small.
+
+    The setpoint of a plan is held until the next one, and the plan counts with that.
+    """
+    places = 0.2e-3 * np.arange(3000)
+    heights = 0.003 * np.sin(2.0 * math.pi * places / 0.15) + 0.0002 * np.sin(2.0 * math.pi * places / 0.04)
+    job = Job(mount_m=0.05, sigma_m=0.1e-3, speed_mps=0.2)
+    found = clearances_m(job, job.follower(memory=False), 3, places, heights, pose_ms=cycle_ms)
+    error = found[1000:] - job.standoff_m
+    rms = float(np.sqrt(np.mean(error * error)))
+    print(f"{cycle_ms} ms: {1e3 * rms:.3f} mm")
+    assert rms < 0.085e-3

@@ -208,8 +208,8 @@ def planned(ground, v, known=HORIZON, rounds=40):
             a["plan"]["acceleration_m"][0, :-1].copy(),
             a["plan"]["multiplier_m"][0, :-1].copy(),
         )
-        speed = plan.solve_plan(params[0], a[0], known, 0.0, v, 0.0)
-    return speed, a[0]
+        plan.solve_plan(params[0], a[0], known, 0.0, v, 0.0)
+    return a[0]
 
 
 @pytest.mark.parametrize("known", [HORIZON, 12])
@@ -221,7 +221,7 @@ def test_the_plan_is_the_bounded_least_squares_solution(seed, known):
     v, dt, n = rng.uniform(-0.05, 0.05), 0.01, HORIZON
     extrapolated = 0.003 * rng.standard_normal(n - known)  # half the weight, for 16 ticks
     ground[known:] = ground[known - 1] + extrapolated
-    _, a = planned(ground, v, known)
+    a = planned(ground, v, known)
     after = np.arange(1, n + 1)
     weight = np.where(after < known, 1.0, np.where(after < known + 16, 0.5, 1e-6))
     aims = np.append(ground[1:], ground[-1])
@@ -245,8 +245,10 @@ def test_the_inverted_axis_reaches_the_position_that_was_asked():
     for v in (-0.1, 0.0, 0.07):
         for more in (-0.2e-3, 0.0, 0.2e-3):
             wanted = 0.3 + v * 2.0 * PERIOD_S + more
-            target = invert_axis(params[0], 0.04, 0.3, v, wanted)
-            assert position_ahead(params[0], 0.04, 0.3, v, target) == pytest.approx(wanted, abs=2e-6)
+            target = invert_axis(params[0], 0.04, 0.3, v, wanted, PERIOD_S)
+            assert position_ahead(params[0], 0.04, 0.3, v, target, PERIOD_S) == pytest.approx(
+                wanted, abs=2e-6
+            )
 
 
 @pytest.mark.parametrize("way", [-1.0, 1.0])
@@ -254,8 +256,8 @@ def test_the_inverted_axis_reaches_the_position_that_was_asked():
 def test_a_position_that_the_axis_does_not_attain_gives_the_setpoint_of_the_next_attainable_one(way, v_mps):
     params = zeros(Params)
     params["plant_a_max_mps2"], params["plant_v_max_mps"] = 2.0, 0.2
-    target = invert_axis(params[0], 0.04, 0.3, v_mps, 0.3 + 5.0 * way)
+    target = invert_axis(params[0], 0.04, 0.3, v_mps, 0.3 + 5.0 * way, PERIOD_S)
     v_mps = min(v_mps, 0.2)
-    best = position_ahead(params[0], 0.04, 0.3, v_mps, 0.3 + 5.0 * way)
-    assert position_ahead(params[0], 0.04, 0.3, v_mps, target) == pytest.approx(best, abs=2e-6)
+    best = position_ahead(params[0], 0.04, 0.3, v_mps, 0.3 + 5.0 * way, PERIOD_S)
+    assert position_ahead(params[0], 0.04, 0.3, v_mps, target, PERIOD_S) == pytest.approx(best, abs=2e-6)
     assert abs(target - 0.3) < 0.015, "without the bound the end of the interval searched"

@@ -149,9 +149,9 @@ class Periods:
     def report(self, number, t_ns):
         observe_report(self._controller, number, START + t_ns)
 
-    def is_due(self, t_ns, answers_each=False):
+    def is_due(self, t_ns, answers_each=False, call_s=0.0):
         """Whether a setpoint is due; `answers_each`: the caller takes each answer himself."""
-        return period_is_due(self._controller, int(answers_each), START + t_ns) != 0
+        return period_is_due(self._controller, call_s, int(answers_each), START + t_ns) != 0
 
     def answer(self, t_ns):
         """A setpoint is computed now; when the controller takes it."""
@@ -186,6 +186,10 @@ def test_periods_are_put_before_reports_that_come_a_hundred_times_a_second():
     # THEN where the caller takes each answer himself, one is due every 10 ms and taken at once
     assert periods.is_due(last_ns + 9_999_000, answers_each=True)
     assert not periods.is_due(last_ns + 9_998_000, answers_each=True)
+    # a caller of 100 Hz is not punctual; one of 1 kHz calls again in time
+    assert periods.is_due(last_ns + 9_050_000, answers_each=True, call_s=0.01)
+    assert not periods.is_due(last_ns + 8_950_000, answers_each=True, call_s=0.01)
+    assert not periods.is_due(last_ns + 9_700_000, answers_each=True, call_s=0.001)
     assert periods.latch_ns(0, answers_each=True) == 0
 
 

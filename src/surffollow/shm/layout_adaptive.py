@@ -54,6 +54,7 @@ class Controller(Schema):
     report_ns = I64(unit="ns", doc="arrival of the newest pose report")
     report_count = I64(doc="pose count then")
     interval_ns = F64(unit="ns", doc="usual interval of reports")
+    usual_ns = F64(unit="ns", doc="usual length of a controller period; 0: not known")
     latch_pending = I64(doc="1: the demand of the newest period is not latched yet and may change")
     periods = I64(doc="controller periods so far")
     latch_ns = I64(N_PERIODS, unit="ns", doc="ring of latch times")

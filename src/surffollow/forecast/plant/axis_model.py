@@ -8,7 +8,7 @@ BISECTIONS = 24  # resolution: 6e-8 of the interval searched
 PERIOD_S = 0.01  # of the plan: one controller period
 AXIS_STEP_NS = 2_000_000  # of all axis models
 AXIS_STEPS = round(PERIOD_S * 1e9) // AXIS_STEP_NS  # in a controller period
-ATTAINABLE_SHARE = 0.999  # of the range of positions two periods from now; the rest is for rounding
+ATTAINABLE_SHARE = 0.999  # of the range of positions that a setpoint can give; the rest is for rounding
 
 
 @jit
@@ -40,24 +40,25 @@ def step_axis(tau_s, v_max_mps, a_max_mps2, z_m, v_mps, target_m, dt_s):
 
 
 @jit
-def position_ahead(params, tau_s, z_m, v_mps, target_m):
-    """Position of the axis two controller periods from now, the second one at constant velocity [m].
+def position_ahead(params, tau_s, z_m, v_mps, target_m, hold_s):
+    """Position of the axis one period of a plan behind a time in which a setpoint is held [m].
 
     Parameters
     ----------
     params : record of `Params`
     tau_s : float64       time constant [s]
     z_m, v_mps : float64  position [m] and velocity [m/s] now
-    target_m : float64    setpoint of the first period [m]
+    target_m : float64    the setpoint [m]
+    hold_s : float64      the time [s]; behind it the velocity is constant
     """
-    v_max, a_max, dt = params.plant_v_max_mps, params.plant_a_max_mps2, PERIOD_S / AXIS_STEPS
+    v_max, a_max, dt = params.plant_v_max_mps, params.plant_a_max_mps2, hold_s / AXIS_STEPS
     for _ in range(AXIS_STEPS):
         z_m, v_mps = step_axis(tau_s, v_max, a_max, z_m, v_mps, target_m, dt)
     return z_m + v_mps * PERIOD_S
 
 
 @jit
-def invert_axis(params, tau_s, z_m, v_mps, wanted_m):
+def invert_axis(params, tau_s, z_m, v_mps, wanted_m, hold_s):
     """Setpoint with which `position_ahead` is the one wanted [m].
 
     Bisection: that position is monotone in the setpoint. One that the axis does not attain would give a
@@ -69,18 +70,19 @@ def invert_axis(params, tau_s, z_m, v_mps, wanted_m):
     tau_s : float64       time constant [s]
     z_m, v_mps : float64  position [m] and velocity [m/s] now
     wanted_m : float64    the position [m]
+    hold_s : float64      for how long the setpoint is held [s]
     """
     v_mps = min(max(v_mps, -params.plant_v_max_mps), params.plant_v_max_mps)  # of an estimate it may be more
-    v = abs(v_mps) + params.plant_a_max_mps2 * PERIOD_S  # the greatest that a setpoint can give
+    v = abs(v_mps) + params.plant_a_max_mps2 * hold_s  # the greatest that a setpoint can give
     reach = v * tau_s + v * v / params.plant_a_max_mps2 + 0.01
     low, high = z_m - reach, z_m + reach
-    lowest_m = position_ahead(params, tau_s, z_m, v_mps, low)
-    highest_m = position_ahead(params, tau_s, z_m, v_mps, high)
+    lowest_m = position_ahead(params, tau_s, z_m, v_mps, low, hold_s)
+    highest_m = position_ahead(params, tau_s, z_m, v_mps, high, hold_s)
     rest_m = (1.0 - ATTAINABLE_SHARE) * (highest_m - lowest_m)
     wanted_m = min(max(wanted_m, lowest_m + rest_m), highest_m - rest_m)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if position_ahead(params, tau_s, z_m, v_mps, middle) < wanted_m:
+        if position_ahead(params, tau_s, z_m, v_mps, middle, hold_s) < wanted_m:
             low = middle
         else:
             high = middle

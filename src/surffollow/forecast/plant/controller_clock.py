@@ -11,12 +11,14 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
 DEFAULT_PERIOD_NS = 9_999_000  # 100 Hz; a microsecond less, timestamps may be rounded
+EARLY_SHARES = 0.1, 0.25  # of a period, and of the interval of calls: a period may begin so much sooner
 # before the next report: the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm
 PREPARATION_NS = 8_900_000
 LATCH_DELAY_NS = 500_000  # latch time before the cycle that sees the report, on average
 MIN_PERIOD_NS, MAX_PERIOD_NS = 6_000_000, 14_000_000  # between two periods synchronised by reports
 PERIOD_TOLERANCE_NS = 1_000_000  # of the mean interval of reports from `PERIOD_S`
-PERIOD_RATE = 0.1  # of the usual interval, per report
+PERIOD_RATE = 0.1  # of the usual interval, per report, and of the usual period, per period
+MAX_PERIODS = 3.0  # of `PERIOD_S` in the usual period: plans are too short for more
 
 
 @jit
@@ -30,18 +32,20 @@ def is_synchronised(controller, ranges_given, now_ns):
 
 
 @jit
-def period_is_due(controller, ranges_given, now_ns):
+def period_is_due(controller, call_s, ranges_given, now_ns):
     """Whether the demand of the next controller period has to be prepared.
 
     Parameters
     ----------
     controller : record of `Controller`
+    call_s : float64         usual interval of the calls [s]; callers are not punctual
     ranges_given : int       > 0: ranges are given to the step, the caller latches each answer himself
     now_ns : int64
     """
     elapsed = now_ns - controller.period_ns
     if not is_synchronised(controller, ranges_given, now_ns):
-        return elapsed >= DEFAULT_PERIOD_NS
+        early_ns = min(EARLY_SHARES[0] * DEFAULT_PERIOD_NS, EARLY_SHARES[1] * call_s * 1e9)
+        return elapsed >= DEFAULT_PERIOD_NS - early_ns
     left = latch_time(controller, ranges_given, now_ns) - now_ns
     prepares = controller.latch_pending == 0 and left <= PREPARATION_NS and elapsed >= MIN_PERIOD_NS
     return prepares or elapsed >= MAX_PERIOD_NS
@@ -97,7 +101,11 @@ def observe_report(controller, poses, now_ns):
 
 @jit
 def begin_period(controller, now_ns):
-    """Begin a controller period now."""
+    """Begin a controller period now, and update the usual period."""
+    dt = now_ns - controller.period_ns
+    if 0 < dt < MAX_GAP_NS:
+        rate = PERIOD_RATE if controller.usual_ns > 0.0 else 1.0
+        controller.usual_ns += rate * (dt - controller.usual_ns)
     controller.latch_ns[controller.periods & (N_PERIODS - 1)] = now_ns
     controller.periods += 1
     controller.period_ns = now_ns
@@ -110,3 +118,12 @@ def period_at(controller, t_ns):
     while k > oldest and controller.latch_ns[k & (N_PERIODS - 1)] > t_ns:
         k -= 1
     return k
+
+
+@jit
+def usual_periods(controller):
+    """Usual length of a controller period, in those of a plan, 1 to `MAX_PERIODS`.
+
+    A demand is kept for so long: a controller of 125 Hz takes every second one, and others are not punctual.
+    """
+    return min(max(controller.usual_ns / (PERIOD_S * 1e9), 1.0), MAX_PERIODS)

@@ -13,6 +13,7 @@ begin to descend long before an edge.
 """
 
 from surffollow.forecast.plant.axis_model import PERIOD_S, invert_axis
+from surffollow.forecast.plant.controller_clock import usual_periods
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.jit import jit
@@ -21,9 +22,9 @@ from surffollow.shm.layout_adaptive import HORIZON
 # convergence with a warm start is compared with a general solver in the tests
 ITERATIONS, ADMM_PENALTY = 25, 60.0
 ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
-# of the second acceleration, in the position two periods from now: ½ at constant velocity in the second one,
-# 1 in the plan. With 1 an axis is early (second passes 1.03 times the error), with ½ late at edges
-SECOND_SHARE = 0.75
+# one period behind a setpoint the axis is where its velocity then leads it (0), or on the plan (1):
+# with 1 it is early (second passes 1.03 times the error), with 0 late at edges
+SECOND_SHARE = 0.5
 UNKNOWN_WEIGHT = 1e-6  # not 0, so that the matrix stays regular
 EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # periods beyond the known ground
 
@@ -76,7 +77,7 @@ def solve(plan):
 
 @jit
 def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
-    """Solve the plan; returns where the axis should be two periods from now (`position_ahead`).
+    """Solve the plan: positions relative to now in `plan.position_m`.
 
     Parameters
     ----------
@@ -84,10 +85,6 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     known : int              known periods of ground
     z_m, v_mps : float64     position and velocity of the axis now
     standoff_m : float64     wanted height of the tool above the ground
-
-    Returns
-    -------
-    float64 [m]
     """
     plan = adaptive.plan
     n = HORIZON
@@ -122,11 +119,23 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
             plan.multiplier_m[k] += b - u
             plan.acceleration_m[k] = u
     # the clipped accelerations are feasible, the points approximately
-    return z_m + 2.0 * v_mps * PERIOD_S + plan.acceleration_m[0] + SECOND_SHARE * plan.acceleration_m[1]
+    z1, v = 0.0, v_mps * PERIOD_S
+    for k in range(n):
+        v += plan.acceleration_m[k] * (0.5 if k == 0 else 1.0)
+        z1 += v
+        plan.position_m[k] = z1
 
 
 @jit
-def least_speed(params, adaptive, known, z_m, standoff_m):
+def planned_position(plan, periods):
+    """Position of the plan so many periods from now, relative to now, linear between its points [m]."""
+    k = int(periods)
+    before = plan.position_m[k - 1] if k > 0 else 0.0
+    return before + (periods - k) * (plan.position_m[k] - before)
+
+
+@jit
+def least_speed(params, adaptive, known, z_m, standoff_m, hold):
     """Velocity from which the axis can stop above the lowest ground known until then, ≤ 0 [m/s].
 
     Parameters
@@ -135,6 +144,7 @@ def least_speed(params, adaptive, known, z_m, standoff_m):
     known : int           known periods of ground
     z_m : float64         position of the axis now [m]
     standoff_m : float64  desired height of the tool above the ground [m]
+    hold : float64        periods until the next setpoint
     """
     ground_m, brake_mps2 = adaptive.preview.ground_m, ACCELERATION_SHARE * params.plant_a_max_mps2
     late = int(CELL_M / max(adaptive.kinematics.speed_mps * PERIOD_S, CELL_M / HORIZON))
@@ -142,7 +152,7 @@ def least_speed(params, adaptive, known, z_m, standoff_m):
     for k in range(1, known):
         lowest = min(lowest, ground_m[max(k - late, 0)])  # the place of an edge is known to a cell
         room = max(z_m - lowest - standoff_m + MAX_UNCONFIRMED_DESCENT_M, 0.0)
-        braking_s = (k - 1) * PERIOD_S  # it brakes from the next period on
+        braking_s = max(k - hold, 0.0) * PERIOD_S  # it brakes from the next setpoint on
         least = max(least, -(room + 0.5 * brake_mps2 * braking_s * braking_s) / (k * PERIOD_S))
     return least
 
@@ -158,6 +168,11 @@ def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     z_m, v_mps : float64  axis at the latch time [m, m/s]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    wanted_m = solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
-    wanted_m = max(wanted_m, z_m + 2.0 * PERIOD_S * least_speed(params, adaptive, known, z_m, standoff_m))
-    adaptive.plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, wanted_m)
+    plan, hold = adaptive.plan, usual_periods(adaptive.controller)
+    solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
+    next_m = planned_position(plan, hold + 1.0)
+    straight_m = planned_position(plan, hold) + 0.5 * (next_m - planned_position(plan, hold - 1.0))
+    wanted_m = straight_m + SECOND_SHARE * (next_m - straight_m)
+    least_mps = least_speed(params, adaptive, known, z_m, standoff_m, hold)
+    wanted_m = z_m + max(wanted_m, (hold + 1.0) * PERIOD_S * least_mps)
+    plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, wanted_m, hold * PERIOD_S)

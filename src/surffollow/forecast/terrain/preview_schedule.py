@@ -56,7 +56,8 @@ def preview_uses(params, adaptive, inputs, now_ns):
         return 0
     if adaptive.kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0
-    due = FOR_PERIOD if period_is_due(adaptive.controller, inputs.n_ranges, now_ns) else 0
+    is_due = period_is_due(adaptive.controller, adaptive.setpoint.interval_s, inputs.n_ranges, now_ns)
+    due = FOR_PERIOD if is_due else 0
     return due | FOR_SAMPLE if has_reading(params, adaptive, inputs) else due
 
 
