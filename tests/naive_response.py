@@ -123,7 +123,7 @@ class NaiveResponse:
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
         doubtful = enough and self.number >= r.MAX_MEAN and no_lag and work > r.SHIFT_ERROR_MOTION
         stops_m = rate_mps * (self.delay_s + self.tau_s)
-        far = self.number >= r.MAX_MEAN and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
+        far = self.number > r.MIN_MEAN and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
         distant = motion_m > r.SHIFT_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * r.MIN_MEANS * self.number
         if long and self.shift_ns is None and (doubtful or distant or suspicious):

@@ -108,7 +108,7 @@ def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     float64 [m], bool
     """
     clock, blend = adaptive.clock, adaptive.blend
-    due = period_is_due(adaptive.controller, inputs.n_ranges, clock.now_ns)
+    due = period_is_due(adaptive.controller, adaptive.setpoint.interval_s, inputs.n_ranges, clock.now_ns)
     if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
         target = blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
     else:
@@ -220,7 +220,8 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff)
     target = target_of_preview(params, adaptive, target, standoff)
-    target = permitted_setpoint(adaptive, target, tool_z, standoff, stuck)
+    age = (clock.now_ns - pose_t_ns) * 1e-9 + mean_wait_s(params, controller)
+    target = permitted_setpoint(adaptive, target, tool_z, standoff, age, stuck)
     limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):

@@ -91,6 +91,7 @@ class Response(Schema):
     usual_m = F64(unit="m", doc="the usual one")
     run_range_m = F64(unit="m", doc="mean range of the run of constant ranges")
     run_samples = I64(doc="samples since its begin")
+    slope = F64(doc="slope of the ground then")
     top_z_m = F64(unit="m", doc="greatest height of the tool in the run")
     low_z_m = F64(unit="m", doc="least height of the tool in the run")
     rate_mps = F64(unit="m/s", doc="mean rate at which it rose or descended in the run")

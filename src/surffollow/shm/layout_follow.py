@@ -33,7 +33,7 @@ TOO_CLOSE = 1 << 4  # near or inside the sensor's fold-back: only away from the 
 LIMITED = 1 << 5  # |demand| was cut to max_demand
 DRYRUN = 1 << 6  # computed and logged, not to be applied
 FROZEN = 1 << 7  # FREEZE: zero demand, adaptation stopped
-SENSOR_LOST = 1 << 8  # extrapolated for too long (loss_timeout, or an unseen rise): zero demand
+SENSOR_LOST = 1 << 8  # extrapolated for too long (loss_timeout, or a stuck sensor's clearance): zero demand
 STOPPED = 1 << 9  # the stop is latched: zero demand until the pose's holder resets it
 STATUS_NAMES = (
     "VALID",

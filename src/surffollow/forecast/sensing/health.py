@@ -6,7 +6,7 @@ from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
 from surffollow.forecast.sensing.response import is_unresponsive
-from surffollow.forecast.sensing.unseen_ground import unseen_rise
+from surffollow.forecast.sensing.unseen_ground import uncertain_clearance
 from surffollow.shm import layout_adaptive as layout
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
@@ -14,7 +14,7 @@ from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 ENTER_NS = 10_000_000  # a worse state is published after so long
 LEAVE_NS = 100_000_000  # a better one after so long
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
-UNSEEN_RISE = 0.5  # of the stand-off: no demand is valid where unseen ground may have risen by more
+MAX_UNCERTAIN = 0.35  # of the stand-off: no demand is valid when more of the clearance may be lost unseen
 WINDOW_EDGE_M = 0.003  # a loss so near an end of the window, as the last sample or the next, is OUT_OF_RANGE
 
 
@@ -37,12 +37,12 @@ def is_lost(params, adaptive):
     """Whether no sample entered a confirmed estimate within the loss time-out.
 
     An estimate of a single sample is not confirmed. A sensor whose range did not respond, and that
-    falls silent, has nothing to continue from. Ground that is not seen may rise as steeply as before.
+    falls silent, has nothing to continue from. Before that, ground that it did not see may have come near.
     """
     estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
     if estimate.samples == 0 or (stuck and silent):
         return True
-    if (stuck or silent) and unseen_rise(adaptive) > UNSEEN_RISE * params.offset_m:
+    if (stuck or silent) and uncertain_clearance(adaptive) > MAX_UNCERTAIN * params.offset_m:
         return True
     return adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
 

@@ -26,7 +26,7 @@ MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change
 ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
 SHIFT_ERROR_MOTION = 0.06  # the same, from which the setpoint is shifted up …
 SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off …
-MAX_DESCENT = 0.5  # of the stand-off: a tool that would descend farther before it stops is held at once
+MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
 SHIFT_BANDS = 2.0  # … by so many bands
 ASCENT_SHARE = 0.25  # of an ascent counts
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
@@ -47,8 +47,10 @@ ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on g
 
 
 @jit
-def _begin_run(response, tool_z_m):
-    """Begin a run of constant ranges at the present mean."""
+def _begin_run(adaptive, tool_z_m):
+    """Begin a run of constant ranges at the present mean, over the present slope."""
+    response = adaptive.response
+    response.slope = adaptive.estimate.slope
     response.phase, response.run_samples, response.lift_m = RESPONSE_RUN, 0, 0.0
     response.run_range_m = response.mean_m
     response.top_z_m = response.low_z_m = tool_z_m
@@ -174,7 +176,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     if shifts and response.lift_m == 0.0 and response.run_samples > 2.0 * MIN_MEANS * number:
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
     stop_m = rate * (adaptive.latency.delay_s + tau)  # until the axis has stopped
-    far = fast and descent + stop_m > MAX_DESCENT * standoff_m
+    far = number > MIN_MEAN and descent + stop_m > MAX_DESCENT * standoff_m
     late = response.lift_m > 0.0 and (t_ns - response.test_ns) * 1e-9 > _answer_s(adaptive, number)
     response.rises, response.repeated = 1 if rises else 0, 1 if repeats and not (wrong or quiet) else 0
     if rises and late:  # the greater shift stands out from the lag of the axis
@@ -232,7 +234,7 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
     if response.repeated != 0 or (applied and response.missing_m < OBEYED[response.rises] * response.lift_m):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
-        _begin_run(response, tool_z_m)
+        _begin_run(adaptive, tool_z_m)
 
 
 @jit_inlined
@@ -261,9 +263,9 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
         response.settled_ns = t_ns + int(1e9 * back_s)
         if begins or abs(range_m - response.mean_m) > BAND_SIGMAS * sigma:  # of a step the mean sees a part
             response.mean_m = range_m
-        _begin_run(response, tool_z_m)
+        _begin_run(adaptive, tool_z_m)
     elif response.phase == RESPONSE_RUN and t_ns < response.settled_ns:
-        _begin_run(response, tool_z_m)  # the tool is on its way back from a test
+        _begin_run(adaptive, tool_z_m)  # the tool is on its way back from a test
     elif response.phase == RESPONSE_RUN:
         _update_run(params, adaptive, t_ns, tool_z_m, number, band)
     elif response.phase != RESPONSE_FAILED:

@@ -1,4 +1,4 @@
-"""Ground that no range shows: how far it may have risen."""
+"""Ground that no range shows: how fast it may rise, and what that takes from the clearance."""
 
 import math
 
@@ -9,19 +9,29 @@ from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
 @jit
 def rise_rate(adaptive):
-    """Rate at which ground that is not seen may rise: as steeply as that of the last metre [m/s]."""
-    estimate = adaptive.estimate
-    return max(math.sqrt(estimate.slope_power), estimate.slope) * adaptive.kinematics.speed_mps
+    """Rate at which ground that is not seen may rise [m/s].
+
+    As steeply as that of the last metre, as at present, or as when the run of ranges began that is tested.
+    """
+    estimate, response = adaptive.estimate, adaptive.response
+    slope = max(math.sqrt(estimate.slope_power), estimate.slope)
+    if response.phase != RESPONSE_RUN:
+        slope = max(slope, response.slope)
+    return slope * adaptive.kinematics.speed_mps
 
 
 @jit
-def unseen_rise(adaptive):
-    """Height by which it may have risen since the last range that is known to be right [m].
+def uncertain_clearance(adaptive):
+    """Clearance that may be lost since the run of ranges began that a test of the response is about [m].
 
-    During a test of the response all since its run began are uncertain. Under a slow sensor the
-    ground changes while an answer is awaited, and a test may fail by chance.
+    All ranges since then are uncertain, and the tool has moved. It is 0 without a test, and under a slow
+    sensor: the ground changes while an answer is awaited, and a test may fail by chance.
     """
+    response, setpoint = adaptive.response, adaptive.setpoint
+    if response.phase == RESPONSE_RUN or is_slow(adaptive):
+        return 0.0
     unseen_s = (adaptive.clock.now_ns - adaptive.hold.t_ns) * 1e-9
-    if adaptive.response.phase != RESPONSE_RUN and not is_slow(adaptive):
-        unseen_s += adaptive.response.run_samples * adaptive.prediction.interval_s
-    return rise_rate(adaptive) * unseen_s
+    unseen_s += response.run_samples * adaptive.prediction.interval_s
+    begin_m = response.low_z_m if response.rises != 0 else response.top_z_m
+    descent_m = begin_m - setpoint.position_m if setpoint.t_ns != 0 else 0.0
+    return descent_m + rise_rate(adaptive) * unseen_s

@@ -175,7 +175,7 @@ def filter_setpoint(params, adaptive, target_m):
 
 
 @jit_inlined
-def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, stuck):
+def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, age_s, stuck):
     """Setpoint within the range that is permitted [m].
 
     Parameters
@@ -184,6 +184,7 @@ def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, stuck):
     target_m : float64    the setpoint [m]
     tool_z_m : float64    height of the tool in the newest pose reported [m]
     standoff_m : float64  desired height of the tool above the ground [m]
+    age_s : float64       of that pose when the demand acts [s]
     stuck : bool          the range does not respond to the tool's motion
     """
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
@@ -194,6 +195,6 @@ def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, stuck):
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(adaptive.response, standoff_m)
     # ground that is not seen may rise as steeply as it did before
-    unseen = tool_z_m + rise_rate(adaptive) * adaptive.plant.tau_s if stuck else -math.inf
+    unseen = tool_z_m + rise_rate(adaptive) * (adaptive.plant.tau_s + age_s) if stuck else -math.inf
     tested = min(max(target_m, unseen, lowest), highest)
     return max(tested, no_descent, withheld_setpoint(adaptive, standoff_m))
