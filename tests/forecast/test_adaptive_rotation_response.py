@@ -22,15 +22,15 @@ TAU_S, SIGMA_M = 0.06, 0.25e-3
 DOES_NOT_ROTATE = "readings do not respond to the tool's rotation; the tool does not rotate"
 
 
-def turned(read, seconds: float, seed: int) -> tuple[float, set[str]]:
+def turned(read, seconds: float, seed: int, mounts=FOUR, speed_mps=0.05) -> tuple[float, set[str]]:
     """Last tilt [rad] and reasons of a tool that obeys the rotations demanded; `read(t, tilt)` in m."""
     rng = np.random.default_rng(seed)
-    sensors = [{"near_m": NEAR_M, "far_m": FAR_M, "position_m": [x, y, 0.0]} for x, y in FOUR]
+    sensors = [{"near_m": NEAR_M, "far_m": FAR_M, "position_m": [x, y, 0.0]} for x, y in mounts]
     f = Follower({"sensors": sensors}, offset_m=STANDOFF_M)
     tilt, reasons = np.zeros(2), set()
     for ms in range(0, int(1e3 * seconds), 4):
         t_ns = (1000 + ms) * MS
-        f.pose(t_ns, (0.05e-3 * ms, 0.0, STANDOFF_M, *quaternion(tilt)))
+        f.pose(t_ns, (speed_mps * 1e-3 * ms, 0.0, STANDOFF_M, *quaternion(tilt)))
         demand = f.step(t_ns, read(1e-3 * ms, tilt) + SIGMA_M * rng.standard_normal(4))
         tilt = tilt + np.array(demand[3:5]) * (4e-3 / TAU_S)
         reasons.add(f.state()["reason"])
@@ -182,6 +182,24 @@ def test_a_tool_whose_sensors_are_all_stuck_does_not_rotate():
             stuck += 1
             assert (np.array(demand[3:]) == 0.0).all()
     assert stuck > 40
+
+
+@pytest.mark.parametrize("radius_m", [0.025, 0.035])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_ring_follows_the_normal_behind_a_kink(radius_m, seed):
+    """GIVEN level ground that becomes a slope WHEN a ring is over it THEN the tool turns to the slope.
+
+    Over the kink its beams lie on no plane, behind it they do.
+    """
+    angles = 0.3 + 0.5 * np.pi * np.arange(4)
+    lever_x, lever_y = radius_m * np.cos(angles), radius_m * np.sin(angles)
+
+    def read(t, tilt):
+        rise = 0.3 * np.maximum(0.2 * t - 0.3 + lever_x, 0.0) - 0.3 * max(0.2 * t - 0.3, 0.0)
+        return STANDOFF_M + lever_y * np.tan(tilt[0]) - lever_x * np.tan(tilt[1]) - rise
+
+    last, _ = turned(read, 3.5, seed, mounts=list(zip(lever_x, lever_y)), speed_mps=0.2)
+    assert last == pytest.approx(np.arctan(0.3), abs=0.03)
 
 
 @pytest.mark.parametrize(("inconsistent", "turns"), [(0, True), (1, False)])

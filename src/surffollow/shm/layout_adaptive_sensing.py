@@ -152,7 +152,7 @@ class Beams(Schema):
     axis_x_m = F64(unit="m", doc="where the tool's axis meets the ground")
     axis_y_m = F64(unit="m")
     reference = I64(doc="channel whose samples are the follower's samples")
-    inconsistent = I64(doc="1: the beams have no majority; the nearer ground counts")
+    inconsistent = I64(doc="> 0: no majority of beams, the nearer ground counts; samples until it ends")
 
 
 class Plane(Schema):

@@ -17,6 +17,7 @@ MAX_AGE_NS = MAX_GAP_NS // 2  # older footprints do not belong to the same plane
 STUCK_SAMPLES = 12.0  # a stuck beam repeats its range for so many usual intervals longer than a drop-out
 REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
+PLANE_SAMPLES = 10  # in a row on one plane: beams that were inconsistent see ground that has turned
 WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 
 
@@ -147,10 +148,13 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         agree += 1 if abs(beams.sorted_m[k] - median) <= gate else 0
     majority = agree >= 3 and adaptive.plane.rank == 2
     nearest = beams.sorted_m[max(n, 1) - 1]
-    apart = 2 * agree <= n and is_bent(adaptive, params.n_channels, gate)
-    # beams that deviated may meet a good one by chance: the nearest ground has to agree as well
-    apart |= beams.inconsistent != 0 and nearest > median + gate
-    beams.inconsistent = 1 if apart and n >= 4 and begun else 0
+    apart = 2 * agree <= n or (beams.inconsistent != 0 and nearest > median + gate)
+    if n < 4 or not begun or not apart:
+        beams.inconsistent = 0
+    elif is_bent(adaptive, params.n_channels, gate):
+        beams.inconsistent = PLANE_SAMPLES
+    elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
+        beams.inconsistent -= 1
     good = 0
     for c in range(params.n_channels):
         if beams.accepted[c] == 0:
