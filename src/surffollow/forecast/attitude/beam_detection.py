@@ -17,7 +17,7 @@ MAX_AGE_NS = MAX_GAP_NS // 2  # older footprints do not belong to the same plane
 STUCK_SAMPLES = 12.0  # a stuck beam repeats its range for so many usual intervals longer than a drop-out
 REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
-PLANE_SAMPLES = 10  # in a row on one plane: beams that were inconsistent see ground that has turned
+PLANE_SAMPLES = 25  # in a row on one plane: beams that were inconsistent see ground that has turned
 WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 
 
