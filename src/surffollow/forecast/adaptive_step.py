@@ -156,7 +156,8 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
     """
     preview = adaptive.preview
     if preview.sensed_periods >= 2:
-        rate = (preview.ground_m[1] - preview.ground_m[0]) / PERIOD_S
+        fastest = params.plant_v_max_mps  # an edge of the ground is no rate that an axis can follow
+        rate = min(max((preview.ground_m[1] - preview.ground_m[0]) / PERIOD_S, -fastest), fastest)
         lead_s = adaptive.plant.tau_s + mean_wait_s(params, adaptive.controller)
         target_m = preview.ground_m[0] + rate * lead_s + standoff_m
     target_m = filter_setpoint(params, adaptive, target_m) + setpoint_shift_m(adaptive.response)
