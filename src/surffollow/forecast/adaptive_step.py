@@ -43,6 +43,7 @@ from surffollow.forecast.terrain.preview import (
     MIN_KNOWN_PERIODS,
     collect_preview,
     extrapolate_ground,
+    plan_call_s,
     update_share,
     withdraw_preview,
 )
@@ -108,7 +109,7 @@ def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     float64 [m], bool
     """
     clock, blend = adaptive.clock, adaptive.blend
-    due = period_is_due(adaptive.controller, adaptive.setpoint.interval_s, inputs.n_ranges, clock.now_ns)
+    due = period_is_due(adaptive.controller, plan_call_s(adaptive), inputs.n_ranges, clock.now_ns)
     if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
         target = blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
     else:

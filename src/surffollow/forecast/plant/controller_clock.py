@@ -38,7 +38,7 @@ def period_is_due(controller, call_s, ranges_given, now_ns):
     Parameters
     ----------
     controller : record of `Controller`
-    call_s : float64         usual interval of the calls [s]; callers are not punctual
+    call_s : float64         usual interval of the calls [s]: callers are not punctual; 0: no plan needs it
     ranges_given : int       > 0: ranges are given to the step, the caller latches each answer himself
     now_ns : int64
     """

@@ -133,3 +133,9 @@ def withdraw_preview(preview):
     """Set preview's share to zero at once: its plan does not apply any more."""
     preview.sensed_periods = 0
     preview.share = 0.0
+
+
+@jit
+def plan_call_s(adaptive):
+    """Usual interval of the calls while plans are used [s]; 0: no plan needs a punctual period."""
+    return adaptive.setpoint.interval_s if adaptive.preview.share > 0.0 else 0.0

@@ -10,6 +10,7 @@ from surffollow.forecast.reference_scales import dimensionless_time, is_unscaled
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS
 from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS
 from surffollow.forecast.terrain.known_ground import REGISTRATION_M
+from surffollow.forecast.terrain.preview import plan_call_s
 from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 from surffollow.shm.jit import jit
@@ -56,7 +57,7 @@ def preview_uses(params, adaptive, inputs, now_ns):
         return 0
     if adaptive.kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0
-    is_due = period_is_due(adaptive.controller, adaptive.setpoint.interval_s, inputs.n_ranges, now_ns)
+    is_due = period_is_due(adaptive.controller, plan_call_s(adaptive), inputs.n_ranges, now_ns)
     due = FOR_PERIOD if is_due else 0
     return due | FOR_SAMPLE if has_reading(params, adaptive, inputs) else due
 
