@@ -1,0 +1,71 @@
+"""Ground that a sensor does not see: how fast it may rise, what that takes, and edges of known ground."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from surffollow.forecast.adaptive_step import target_of_preview
+from surffollow.forecast.sensing.unseen_ground import rise_rate, uncertain_clearance
+from surffollow.forecast.terrain.preview import plan_call_s
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_LIFT, RESPONSE_RUN
+
+from .feeding import default_params
+
+SPEED_MPS, SLOPE_RMS, SLOPE_BEFORE = 0.2, 0.1, 0.3
+INTERVAL_S, SAMPLES = 0.004, 100
+
+
+def sensor_in(phase):
+    """A sensor in a phase of its test; the run of constant ranges began over a steep rise."""
+    a = zeros(AdaptiveState)[0]
+    a["kinematics"]["speed_mps"], a["estimate"]["slope_power"] = SPEED_MPS, SLOPE_RMS**2
+    a["plant"]["tau_s"], a["prediction"]["interval_s"] = 0.04, INTERVAL_S
+    a["response"]["phase"], a["response"]["slope"], a["response"]["run_samples"] = (
+        phase,
+        SLOPE_BEFORE,
+        SAMPLES,
+    )
+    a["response"]["top_z_m"] = a["setpoint"]["position_m"] = 0.1
+    a["setpoint"]["t_ns"] = 1
+    return a
+
+
+def test_ground_may_rise_as_steeply_as_when_the_ranges_became_constant():
+    assert rise_rate(sensor_in(RESPONSE_RUN)) == pytest.approx(SLOPE_RMS * SPEED_MPS)
+    assert rise_rate(sensor_in(RESPONSE_FAILED)) == pytest.approx(SLOPE_BEFORE * SPEED_MPS)
+
+
+@pytest.mark.parametrize("climb_m", [-0.01, 0.0, 0.02])
+def test_what_the_tool_climbs_is_not_lost(climb_m):
+    a = sensor_in(RESPONSE_LIFT)
+    a["setpoint"]["position_m"] += climb_m
+    risen_m = SLOPE_BEFORE * SPEED_MPS * SAMPLES * INTERVAL_S
+    assert uncertain_clearance(a) == pytest.approx(risen_m - climb_m)
+
+
+def test_without_a_test_and_under_a_slow_sensor_nothing_is_uncertain():
+    assert uncertain_clearance(sensor_in(RESPONSE_RUN)) == 0.0
+    slow = sensor_in(RESPONSE_FAILED)
+    slow["prediction"]["interval_s"] = 0.03
+    assert uncertain_clearance(slow) == 0.0
+
+
+def test_an_edge_of_known_ground_is_no_rate_that_an_axis_follows():
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    params["plant_v_max_mps"] = 0.2
+    a["plant"]["tau_s"], a["clock"]["now_ns"] = 0.04, 10**12
+    a["preview"]["sensed_periods"], a["preview"]["ground_m"][1] = 2, -0.02  # 2 m/s
+    most_m = 0.2 * (0.04 + params["max_wait_s"])
+    assert target_of_preview(params, a, math.nan, 0.1) == pytest.approx(0.1 - most_m)
+
+
+def test_only_plans_need_punctual_periods():
+    a = zeros(AdaptiveState)[0]
+    a["setpoint"]["interval_s"] = 0.01
+    assert plan_call_s(a) == 0.0
+    a["preview"]["share"] = 0.15
+    assert plan_call_s(a) == 0.01
