@@ -8,6 +8,7 @@ import pytest
 
 from surffollow.forecast.adaptive_step import target_of_preview
 from surffollow.forecast.sensing.unseen_ground import rise_rate, uncertain_clearance
+from surffollow.forecast.setpoint.setpoint_blend import permitted_setpoint
 from surffollow.forecast.terrain.preview import plan_call_s
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
@@ -69,3 +70,10 @@ def test_only_plans_need_punctual_periods():
     assert plan_call_s(a) == 0.0
     a["preview"]["share"] = 0.15
     assert plan_call_s(a) == 0.01
+
+
+def test_a_tool_with_a_stuck_sensor_rises_at_the_rate_of_the_ground():
+    """GIVEN a setpoint relative to a pose of before THEN the axis leads by its lag and that age."""
+    a, age_s = sensor_in(RESPONSE_FAILED), 0.02
+    setpoint_m = permitted_setpoint(a, 0.0, 0.1, 0.1, age_s, True)
+    assert setpoint_m == pytest.approx(0.1 + SLOPE_BEFORE * SPEED_MPS * (0.04 + age_s))
