@@ -261,3 +261,15 @@ def test_a_position_that_the_axis_does_not_attain_gives_the_setpoint_of_the_next
     best = position_ahead(params[0], 0.04, 0.3, v_mps, 0.3 + 5.0 * way, PERIOD_S)
     assert position_ahead(params[0], 0.04, 0.3, v_mps, target, PERIOD_S) == pytest.approx(best, abs=2e-6)
     assert abs(target - 0.3) < 0.015, "without the bound the end of the interval searched"
+
+
+def test_before_an_edge_a_setpoint_that_is_held_for_longer_descends_slower():
+    """It brakes with the next setpoint: until then it goes on."""
+    params, a = zeros(Params), zeros(AdaptiveState)
+    params["plant_a_max_mps2"], params["plant_v_max_mps"] = 2.0, 0.2
+    a["preview"]["ground_m"][0, 8:], a["kinematics"]["speed_mps"] = -0.02, 0.1
+
+    def least_mps(hold: float) -> float:
+        return plan.least_speed(params[0], a[0], HORIZON, 0.1, 0.1, hold)
+
+    assert -0.2 < least_mps(1.0) < least_mps(2.0) < least_mps(3.0) < 0.0
