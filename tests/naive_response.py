@@ -60,7 +60,7 @@ class NaiveResponse:
 
     @property
     def is_repeated(self) -> bool:
-        return self.repeats >= r.MAX_MEAN and self.repeats >= r.REPEAT_RATIO * self.usual_repeats
+        return self.repeats >= r.MAX_READINGS and self.repeats >= r.REPEAT_RATIO * self.usual_repeats
 
     def observe(self, t_ns: int, range_m: float, z_m: float) -> None:
         """One sample of the sensor, with the height of the tool at its time."""
@@ -71,7 +71,7 @@ class NaiveResponse:
             self.in_run = 0
         self.last_ns = t_ns
         self._count_repeats(range_m)
-        self.number = min(max(self.tau_s / self.interval_s, r.MIN_MEAN), r.MAX_MEAN)
+        self.number = min(max(self.tau_s / self.interval_s, r.MIN_READINGS), r.MAX_READINGS)
         most_m = r.BAND_SIGMAS * self.sigma_m
         step_m = range_m - self.mean_m
         deviation_m = min(abs(step_m), most_m)
@@ -109,11 +109,11 @@ class NaiveResponse:
         repeats = self.is_repeated
         if self.in_run <= r.MIN_MEANS * self.number:
             return
-        if rises and self.number <= r.MIN_MEAN and not repeats:
+        if rises and self.number <= r.MIN_READINGS and not repeats:
             return
         motion_m = r.ASCENT_SHARE * ascent_m if rises else descent_m
         rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
-        ahead = abs(self.lead_m) >= r.MIN_LEAD_M
+        ahead = abs(self.lead_m) >= r.APART_M
         error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
         no_lag = error_m > r.LAG_TAUS * self.tau_s * rate_mps
         work = error_m * motion_m / (self.band_m * self.standoff_m)
@@ -121,9 +121,9 @@ class NaiveResponse:
         enough = motion_m > r.MOTION_BANDS * self.band_m
         quiet = self.is_quiet
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
-        doubtful = enough and self.number >= r.MAX_MEAN and no_lag and work > r.SHIFT_ERROR_MOTION
+        doubtful = enough and self.number >= r.MAX_READINGS and no_lag and work > r.SHIFT_ERROR_MOTION
         stops_m = rate_mps * (self.delay_s + self.tau_s)
-        far = self.number > r.MIN_MEAN and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
+        far = self.number > r.MIN_READINGS and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
         distant = motion_m > r.SHIFT_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * r.MIN_MEANS * self.number
         if long and self.shift_ns is None and (doubtful or distant or suspicious):

@@ -106,12 +106,10 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "curve models": [("model_bank", "for qc in (3.0, 20.0, 150.0)]", "for qc in (20.0, 20.0, 20.0)]")],
     "wave models": [("model_bank", "for length_m in 0.6 *", "for length_m in 1e3 *")],
     "deadband": [
-        ("setpoint_blend", "excess = abs(e) - adaptation.deadband_m", "excess = abs(e) - 1e-9"),
-        ("setpoint_blend", "softness = DEADBAND_SOFTNESS * adaptation.deadband_m", "softness = 1e-12"),
         (
             "setpoint_blend",
-            "remaining = adaptation.deadband_m + excess",
-            "remaining = 0.0 * adaptation.deadband_m + excess",
+            "deadband_m = params.deadband_share * adaptation.permitted",
+            "deadband_m = 1e-12 * adaptation.permitted",
         ),
     ],
     "limits behind a fall": [("setpoint_limits", "factor = params.toward_factor if", "factor = 1.0 if")],
@@ -148,13 +146,13 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         )
     ],
     "more samples in a burst": [("innovation_gate", "BURST_TAUS = 0.25", "BURST_TAUS = 0.0")],
-    "wider gate of sparse samples": [("innovation_gate", "PLAUSIBLE_SLOPE = 0.2", "PLAUSIBLE_SLOPE = 0.0")],
+    "wider gate of sparse samples": [("innovation_gate", "PLAUSIBLE_SLOPE * travel_m", "0.0 * travel_m")],
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
     "test of the response": [("response", "elif not rises and (late or suspicious or far):", "elif False:")],
     "shift before a hold": [("response", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
-    "repeated ranges": [("response", "REPEAT_BAND = 0.25", "REPEAT_BAND = -1.0")],
+    "repeated ranges": [("response", "<= REPEAT_BAND * sigma_m", "< -sigma_m")],
 }
 
 

@@ -14,8 +14,9 @@ from surffollow.forecast.estimation.model_bank import (
     SCALE,
     WAVE,
 )
-from surffollow.forecast.estimation.model_weights import FULL_POWER_SAMPLES, update_weights
+from surffollow.forecast.estimation.model_weights import update_weights
 from surffollow.forecast.pose import push_pose
+from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.forecast.sensing.kinematics import update_kinematics
 from surffollow.forecast.setpoint.setpoint_blend import (
     DEADBAND_DECAY_S,
@@ -37,7 +38,8 @@ EARLY_SAMPLES = 200
 def deadband_state(rate_mps=0.0):
     a = zeros(AdaptiveState)[0]
     a["clock"]["now_ns"] = a["blend"]["filtered_ns"] = 10**9
-    a["adaptation"]["deadband_m"], a["blend"]["rate_mps"] = BAND, rate_mps
+    a["adaptation"]["permitted_variance_m"] = BAND / default_params()["deadband_share"]
+    a["blend"]["rate_mps"] = rate_mps
     return a
 
 

@@ -141,6 +141,13 @@ def test_a_reset_forgets_remembered_ground_unless_it_is_to_be_kept():
         assert least <= b.f.state()["preview_share"] <= most
 
 
+def test_ground_remembered_in_another_reference_time_is_forgotten():
+    b = remembering()
+    b.f.set_params(plant_tau_s=0.1)  # twice the reference time: timestamps in memory are of another clock
+    b.f.reset(keep_memory=True)
+    assert not np.any(b.f._memory["n"])
+
+
 def test_a_plan_over_lost_ground_leaves_no_share_behind():
     b = remembering()
     b.go(1000, 0.1, speed_mps=0.1)

@@ -22,8 +22,8 @@ from surffollow.benchmark.hazard_scenarios import (
 )
 from surffollow.benchmark.hazards import PLoop, play, shortfall_m
 from surffollow.forecast.attitude.beam_detection import is_bent
+from surffollow.forecast.quantities import SLOW_RATE
 from surffollow.forecast.terrain.known_ground import (
-    BIAS_RATE,
     DROP_LENGTH_M,
     compare_known_ground,
     lowest_plan,
@@ -407,7 +407,7 @@ def test_known_ground_is_compared_as_its_naive_twin_does(seed):
             drops = 0.0
         elif agrees and peak - h > 3e-3:
             drops += (fading if k else 1.0) * max(peak - h - drops, 0.0)
-        bias += BIAS_RATE * float(np.clip(h - known[1] - bias, -1.5e-3, 1.5e-3))
+        bias += SLOW_RATE * float(np.clip(h - known[1] - bias, -1.5e-3, 1.5e-3))
         assert lowest_plan(a["known"], 1.0) == pytest.approx(1.0 - 3e-3 - drops, abs=1e-12)
         assert a["known"]["bias_m"] == pytest.approx(bias, abs=1e-12)
         if wrong:

@@ -18,12 +18,12 @@ from surffollow.forecast.estimation.model_bank import (
     WAVE,
 )
 from surffollow.forecast.estimation.model_weights import (
-    FULL_POWER_SAMPLES,
     ROUGH_EFFORT_POWER,
     WEIGHT_TIME_CONSTANT_S,
     update_weights,
 )
-from surffollow.forecast.plant.shadow_axes import EFFORT_RATE, record_setpoints
+from surffollow.forecast.plant.shadow_axes import record_setpoints
+from surffollow.forecast.quantities import FULL_POWER_SAMPLES, QUICK_RATE
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles import Profile
@@ -113,7 +113,7 @@ def test_the_effort_is_the_mean_squared_acceleration_of_the_recorded_setpoints()
         a["blend"]["model_m"][NEW] = setpoint_m
         a["controller"]["periods"] = period
         record_setpoints(a)
-    effort = EFFORT_RATE * 1.0 * (1.0 - EFFORT_RATE)
+    effort = QUICK_RATE * 1.0 * (1.0 - QUICK_RATE)
     assert a["shadow"]["effort"][NEW] == pytest.approx(effort)
     assert a["shadow"]["log_effort"][NEW] == pytest.approx(math.log1p(effort))
     assert a["shadow"]["effort"][OLD] == a["shadow"]["log_effort"][OLD] == 0.0

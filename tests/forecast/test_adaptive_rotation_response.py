@@ -22,8 +22,11 @@ TAU_S, SIGMA_M = 0.06, 0.25e-3
 DOES_NOT_ROTATE = "readings do not respond to the tool's rotation; the tool does not rotate"
 
 
-def turned(read, seconds: float, seed: int, mounts=FOUR, speed_mps=0.05) -> tuple[float, set[str]]:
+def turned(
+    read, seconds: float, seed: int, mounts=FOUR, speed_mps=0.05, interval_ms=4
+) -> tuple[float, set[str]]:
     """Last tilt [rad] and reasons of a tool that obeys the rotations demanded; `read(t, tilt)` in m."""
+    silence = np.full(len(mounts), np.nan)
     rng = np.random.default_rng(seed)
     sensors = [{"near_m": NEAR_M, "far_m": FAR_M, "position_m": [x, y, 0.0]} for x, y in mounts]
     f = Follower({"sensors": sensors}, offset_m=STANDOFF_M)
@@ -31,7 +34,8 @@ def turned(read, seconds: float, seed: int, mounts=FOUR, speed_mps=0.05) -> tupl
     for ms in range(0, int(1e3 * seconds), 4):
         t_ns = (1000 + ms) * MS
         f.pose(t_ns, (speed_mps * 1e-3 * ms, 0.0, STANDOFF_M, *quaternion(tilt)))
-        demand = f.step(t_ns, read(1e-3 * ms, tilt) + SIGMA_M * rng.standard_normal(4))
+        ranges = read(1e-3 * ms, tilt) + SIGMA_M * rng.standard_normal(4)
+        demand = f.step(t_ns, ranges if ms % interval_ms == 0 else silence)
         tilt = tilt + np.array(demand[3:5]) * (4e-3 / TAU_S)
         reasons.add(f.state()["reason"])
     return float(np.hypot(*tilt)), reasons
@@ -43,6 +47,17 @@ def test_ranges_that_do_not_respond_turn_the_tool_only_a_little(seed):
     slope_m = 0.05 * np.array([x for x, _ in FOUR])
     last, reasons = turned(lambda t, tilt: STANDOFF_M - (slope_m if t > 1.0 else 0.0), 4.0, seed)
     assert last < 0.4  # half of `max_tilt_rad`, which it reaches without the test
+    assert DOES_NOT_ROTATE in reasons
+
+
+@pytest.mark.parametrize("interval_ms", [40, 72])
+def test_a_slow_ring_that_does_not_respond_turns_the_tool_only_a_little(interval_ms):
+    """GIVEN the same fault with readings at 25 and 14 Hz THEN the tool stops, too."""
+    slope_m = 0.05 * np.array([x for x, _ in FOUR])
+    last, reasons = turned(
+        lambda t, tilt: STANDOFF_M - (slope_m if t > 2.0 else 0.0), 20.0, 1, interval_ms=interval_ms
+    )
+    assert last < 0.4
     assert DOES_NOT_ROTATE in reasons
 
 

@@ -6,7 +6,8 @@ import pytest
 
 from surffollow.forecast.estimation.innovation_gate import hold_pending
 from surffollow.forecast.plant.controller_clock import mean_wait_s, observe_report
-from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, SLOT_GROUP_LENGTHS, limit_setpoint
+from surffollow.forecast.quantities import CONFIRMED_SAMPLES
+from surffollow.forecast.setpoint.setpoint_limits import SLOT_GROUP_LENGTHS, limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 

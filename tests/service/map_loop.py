@@ -133,6 +133,11 @@ class MapLoop(ShellLoop):
         """The footprint lies so far ahead of the tool."""
         self._adaptive["sample"]["lead_m"] = by_m
 
+    def look_ahead(self, by_m: float) -> None:
+        """A second sensor leads by this distance now; 0: it did before."""
+        self._adaptive["lookahead"]["lead_m"] = by_m
+        self._adaptive["lookahead"]["seen_ns"] = self._adaptive["clock"]["now_ns"]
+
     def tilt(self, x_m: float, y_m: float) -> None:
         """The tool's axis meets the ground beside the tool."""
         self._adaptive["sample"]["tip_x_m"], self._adaptive["sample"]["tip_y_m"] = x_m, y_m

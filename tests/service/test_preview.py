@@ -128,6 +128,14 @@ def test_no_preview_is_due_for_a_sensor_that_leads_and_so_sees_better_than_memor
     assert loop.preview_uses() == 0
 
 
+def test_the_map_is_used_again_when_a_second_sensor_no_longer_leads(loop):
+    loop.expect_reading(40)
+    loop.look_ahead(0.05)
+    assert loop.preview_uses() == 0
+    loop.look_ahead(0.0)
+    assert loop.preview_uses() == FOR_SAMPLE
+
+
 def test_the_map_is_read_where_a_tilted_tool_points(loop):
     # GIVEN an upright tool, under whose newest place the preview begins
     loop.expect_period()

@@ -153,11 +153,12 @@ class Follower:
         if offset_m is not None:
             self._change({"offset_m": check_param("offset_m", offset_m)})
         self._stamps.reset()
-        before = float(self._scaled["length"])
+        before = float(self._scaled["length"]), float(self._scaled["time"])
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         self._scale_times()
-        # cells of another reference length are of no use
-        if self._memory is not None and (not keep_memory or float(self._scaled["length"]) != before):
+        # cells of other reference scales are of no use
+        scales = float(self._scaled["length"]), float(self._scaled["time"])
+        if self._memory is not None and (not keep_memory or scales != before):
             self._memory[:] = np.zeros((), self._memory.dtype)
 
     def pose(self, t_ns: int, pose: Sequence[float] | NDArray[Any]) -> bool:

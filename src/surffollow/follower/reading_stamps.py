@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from surffollow.forecast.sensing.clock import LONG_GAP_NS
+from surffollow.forecast.quantities import LONG_GAP_NS
 from surffollow.shm.layout_adaptive import REASON_NAMES, REASON_TIMESTAMPS
 from surffollow.shm.layout_follow import CHANNELS
 

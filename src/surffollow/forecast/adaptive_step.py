@@ -47,7 +47,6 @@ from surffollow.forecast.terrain.preview import (
     update_share,
     withdraw_preview,
 )
-from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import (
     DROPOUT,
@@ -129,14 +128,13 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     standoff_m : float64  desired height of the tool above the ground [m]
     """
     clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
-    leads = adaptive.sample.lead_m > MIN_LEAD_M
     open_period(controller, inputs.n_ranges, clock.now_ns)
     latch_ns = latch_time(controller, inputs.n_ranges, clock.now_ns)
     since_pose_m = kinematics.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = mean_wait_s(params, controller)
     ahead_m += kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - wait_s)
-    known = collect_preview(adaptive, inputs, leads, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
-    update_share(adaptive, known, leads, model_error(adaptive.plant))
+    known = collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
+    update_share(adaptive, known, model_error(adaptive.plant))
     if known >= MIN_KNOWN_PERIODS:
         z, v = predict_axis(params, adaptive, latch_ns)
         extrapolate_ground(adaptive, known, ahead_m)
@@ -195,8 +193,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     update_plant(params, adaptive, sense, params.adapt != 0 and params.run == RUN_NORMAL)
     process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if not orients and params.n_channels > 1:
-        moving = kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS
-        observe_lookahead(params, adaptive, sense, moving, pose)
+        observe_lookahead(params, adaptive, sense, pose)
     stuck = is_unresponsive(adaptive.response)
     update_health(params, adaptive, sense)
     if has_jumped(kinematics, clock.now_ns):

@@ -36,8 +36,6 @@ def reset_surface(adaptive):
     adaptive.estimate.confirmed_ns = 0  # the loss time-out counts from the next sample
     reset_response(adaptive.response)
     reset_rotation(adaptive.rotation)
-    adaptive.gate.pending = 0
-    adaptive.gate.withheld_m = 0.0
     release_setpoint(adaptive.setpoint)
     withdraw_preview(adaptive.preview)
     adaptive.health.faults = 0

@@ -78,7 +78,6 @@ class Adaptation(Schema):
     """Adapted parameters (`adaptation`)."""
 
     permitted_variance_m = F64(unit="m", doc="Permitted_Variance in force")
-    deadband_m = F64(unit="m", doc="deadband of the setpoint filter")
 
 
 class Blend(Schema):

@@ -107,7 +107,6 @@ class Estimate(Schema):
     samples = I64(doc="samples that entered the estimate; 0: initialise with the next one")
     sample_ns = I64(unit="ns", doc="timestamp up to which the models are propagated")
     accepted_ns = I64(unit="ns", doc="timestamp of the last sample that entered the estimate")
-    frame = I64(doc="jump_pose when that sample was taken; less than now: it is in the frame before the jump")
     confirmed_ns = I64(unit="ns", doc="the same while the estimate had enough samples; 0: not begun")
     settle_ns = I64(unit="ns", doc="the performance index is frozen until then")
     arc_length_m = F64(unit="m", doc="distance travelled by the footprint")

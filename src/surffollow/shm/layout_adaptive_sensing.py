@@ -21,9 +21,8 @@ class Kinematics(Schema):
     velocity_y_mps = F64(unit="m/s")
     speed_mps = F64(unit="m/s", doc="lateral speed")
     climb_mps = F64(unit="m/s", doc="vertical velocity")
-    jump_pose = I64(doc="first report after the newest jump of the reported position")
-    jump_ns = I64(unit="ns", doc="its timestamp; 0: none")
-    climb_jump_pose = I64(doc="first report after the newest jump of the height")
+    jump_ns = I64(unit="ns", doc="timestamp of the first report after a jump of the position; 0: none")
+    climb_jump_ns = I64(unit="ns", doc="the same of the height")
 
 
 class Hold(Schema):

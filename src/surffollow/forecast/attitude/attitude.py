@@ -9,7 +9,7 @@ import math
 from surffollow.forecast.attitude.rotation_response import tested_direction
 from surffollow.forecast.plant.controller_clock import mean_wait_s
 from surffollow.forecast.pose import rotate, rotation_between
-from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.forecast.setpoint.setpoint_limits import restart_pause_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, POSES, RUN_FREEZE

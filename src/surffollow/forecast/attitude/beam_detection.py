@@ -8,16 +8,13 @@ majority the beams that see the nearest ground count.
 
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
 
-MAX_AGE_NS = MAX_GAP_NS // 2  # older footprints do not belong to the same plane; no reference is as old
 STUCK_SAMPLES = 12.0  # a stuck beam repeats its range for so many usual intervals longer than a drop-out
-REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
-PLANE_SAMPLES = 25  # in a row on one plane: beams that were inconsistent see ground that has turned
 WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 
 
@@ -35,21 +32,12 @@ def choose_reference(params, beams, sense):
     best, lowest = beams.reference, 3
     for k in range(params.n_channels):
         c = (beams.reference + k) % params.n_channels
-        silent = sense.valid[c] == 0 or newest - beams.t_ns[c] > MAX_AGE_NS
+        silent = sense.valid[c] == 0 or newest - beams.t_ns[c] > MISSING_NS
         rank = 2 if silent else 1 - beams.accepted[c]
         if rank < lowest:
             best, lowest = c, rank
     beams.reference = best
     return best
-
-
-@jit
-def any_beam_changed(beams, n_channels, since_ns):
-    """Whether a beam with a sample since a time did not repeat its range: not all are stuck."""
-    changed = False
-    for c in range(n_channels):
-        changed |= beams.t_ns[c] > since_ns and beams.repeat_ns[c] == beams.t_ns[c]
-    return changed
 
 
 @jit
@@ -105,7 +93,7 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
     beams, plane = adaptive.beams, adaptive.plane
     n, repeating = 0, 0
     for c in range(params.n_channels):
-        beams.accepted[c] = 1 if beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MAX_AGE_NS else 0
+        beams.accepted[c] = 1 if beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS else 0
         if beams.accepted[c] == 0:
             continue
         dx, dy = beams.footprint_m[3 * c] - x_m, beams.footprint_m[3 * c + 1] - y_m
@@ -152,7 +140,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     if n < 4 or not begun or not apart:
         beams.inconsistent = 0
     elif is_bent(adaptive, params.n_channels, gate):
-        beams.inconsistent = PLANE_SAMPLES
+        beams.inconsistent = CONFIRMED_SAMPLES
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
     good = 0
@@ -182,5 +170,6 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
 
 @jit
 def release_beams(beams):
-    """Forget that beams disagreed: they give no normal any more."""
+    """Forget which beams agree: they give no normal any more."""
     beams.inconsistent = 0
+    beams.accepted[:] = 0

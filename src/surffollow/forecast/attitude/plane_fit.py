@@ -7,11 +7,10 @@ beam, the track that the reference beam draws on the ground updates the slope al
 import math
 
 from surffollow.forecast.attitude.beam_detection import isolate_faults
-from surffollow.forecast.attitude.plane_regression import MIN_SPREAD_M, curvature_error, fit_plane
-from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.attitude.plane_regression import curvature_error, fit_plane
+from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE
 from surffollow.shm.jit import jit
 
-MAX_SLOPE = 3.0  # 72 degrees: steeper is no surface that a tool follows
 SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes, critically damped
 TRACK_LENGTH_M = 0.015  # memory of a beam's track in distance
 CURVATURE_RATE_HZ = 2.5  # bandwidth of the curvature
@@ -48,12 +47,25 @@ def plane_height(params, adaptive, t_ns, x_m, y_m):
 
 
 @jit
+def reset_plane(plane):
+    """Discard the plane: it is level."""
+    plane.first_ns = plane.count = 0
+    plane.slope_x = plane.slope_y = plane.slope_rate_x_hz = plane.slope_rate_y_hz = plane.curvature = 0.0
+
+
+@jit
+def longest_gap_s(prediction):
+    """Longest time between two planes of the same motion [s]; slow rings have no gap."""
+    return MAX_GAP_NS * 1e-9 + 2.0 * prediction.interval_s
+
+
+@jit
 def propagate_slopes(adaptive, t_ns):
     """Propagate the slopes to a sample by their rates; time since the last one [s], 0 after a longer gap."""
     plane = adaptive.plane
     dt = (t_ns - plane.t_ns) * 1e-9
     plane.t_ns = t_ns
-    if not 0.0 < dt <= MAX_GAP_NS * 1e-9 + 2.0 * adaptive.prediction.interval_s:  # slow rings have no gap
+    if not 0.0 < dt <= longest_gap_s(adaptive.prediction):
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = dt = 0.0
     shift_slopes(plane, plane.slope_rate_x_hz * dt, plane.slope_rate_y_hz * dt)
     return dt
@@ -124,14 +136,7 @@ def follow_track(adaptive, dt):
         track[i] += share * (beams.footprint_m[3 * c + i] - track[i])
     dx, dy = beams.footprint_m[3 * c] - track[0], beams.footprint_m[3 * c + 1] - track[1]
     squared = dx * dx + dy * dy
-    if plane.rank < 2 and beams.inconsistent == 0 and squared > MIN_SPREAD_M * MIN_SPREAD_M:
+    if plane.rank < 2 and beams.inconsistent == 0 and squared > APART_M * APART_M:
         rise = beams.footprint_m[3 * c + 2] - track[2]
         factor = share * (rise - plane.slope_x * dx - plane.slope_y * dy) / squared
         shift_slopes(plane, factor * dx, factor * dy)
-
-
-@jit
-def reset_plane(plane):
-    """Discard the plane."""
-    plane.t_ns = plane.count = 0
-    plane.slope_x = plane.slope_y = plane.slope_rate_x_hz = plane.slope_rate_y_hz = plane.curvature = 0.0

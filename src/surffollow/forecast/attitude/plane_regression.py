@@ -2,10 +2,10 @@
 
 import math
 
+from surffollow.forecast.quantities import APART_M
 from surffollow.shm.jit import jit
 
 MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their line
-MIN_SPREAD_M = 5e-3  # least spread of the footprints that gives a slope
 
 
 @jit
@@ -60,8 +60,8 @@ def fit_plane(beams, weights, n_channels, curvature):
     major = xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy
     minor = xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux
     along, across = (xh * ux + yh * uy) / major, (yh * ux - xh * uy) / minor
-    rank = 1 if major > MIN_SPREAD_M * MIN_SPREAD_M else 0
-    if minor > max(MIN_SPREAD_M * MIN_SPREAD_M, MIN_CONDITION * (major + minor)):
+    rank = 1 if major > APART_M * APART_M else 0
+    if minor > max(APART_M * APART_M, MIN_CONDITION * (major + minor)):
         rank = 2
     error = hh - major * along * along - minor * across * across
     return rank, mx, my, mh, ux, uy, along, across, minor, error

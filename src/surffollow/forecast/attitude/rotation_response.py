@@ -9,11 +9,10 @@ or not. If it does not, the tool does not turn (`ROTATION_FAILED`) until the dev
 
 import math
 
-from surffollow.forecast.attitude.beam_detection import MAX_AGE_NS
-from surffollow.forecast.attitude.plane_fit import SLOPE_BANDWIDTH_RADPS
+from surffollow.forecast.attitude.plane_fit import SLOPE_BANDWIDTH_RADPS, longest_gap_s
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between
-from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.quantities import MISSING_NS
 from surffollow.forecast.sensing.response import (
     MIN_MEANS,
     MOTION_BANDS,
@@ -41,7 +40,7 @@ def mean_range(beams, n_channels, t_ns, range_m):
     """
     total, n = 0.0, 0
     for c in range(n_channels):
-        if beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MAX_AGE_NS:
+        if beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS:
             total += beams.range_m[c]
             n += 1
     return total / n if n > 0 else range_m
@@ -73,7 +72,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     """
     rotation, plane = adaptive.rotation, adaptive.plane
     dt = (t_ns - rotation.t_ns) * 1e-9
-    begins = rotation.t_ns == 0 or not 0.0 < dt <= MAX_GAP_NS * 1e-9
+    begins = rotation.t_ns == 0 or not 0.0 < dt <= longest_gap_s(adaptive.prediction)
     if plane.rank != 2:
         if begins:
             reset_rotation(rotation)  # too few beams to see a response: what is left is followed as ever

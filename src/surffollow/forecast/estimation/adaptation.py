@@ -16,7 +16,6 @@ def update_deadband(params, adaptive):
     """Set Permitted_Variance in force and the deadband of the setpoint filter."""
     estimate, adaptation = adaptive.estimate, adaptive.adaptation
     adaptation.permitted_variance_m = max(params.permitted_variance_m, min(estimate.sigma_m, MAX_PERMITTED_M))
-    adaptation.deadband_m = params.deadband_share * adaptation.permitted_variance_m
 
 
 @jit

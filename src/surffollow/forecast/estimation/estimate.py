@@ -3,12 +3,7 @@
 import math
 
 from surffollow.forecast.estimation.innovation_gate import (
-    HOLD,
-    INITIALISATION_SAMPLES,
     INNER_GATE,
-    OUTVOTED,
-    PENDING,
-    STEP,
     accept_sample,
     discard_slots,
     gate_sample,
@@ -45,15 +40,13 @@ from surffollow.forecast.plant.shadow_axes import (
     reset_effort,
     reset_shadows,
 )
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, PAUSE_NS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
-from surffollow.forecast.sensing.latency_identification import reset_delay
 from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
 SETTLING_NS = 60_000_000  # after a start or a loss the performance index waits until setpoints have acted
-GAP_NS = 100_000_000  # a step after a longer gap, unusual for the sensor, needs no travel
-STEEPEST_SLOPE = 1.0  # of the ground, over the travel since the last accepted sample
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
@@ -85,15 +78,6 @@ def blend_models(adaptive):
 
 
 @jit
-def note_accepted(adaptive, t_ns):
-    """Note the time of a sample that enters the estimate, and which jump of the position it is behind."""
-    estimate, kinematics = adaptive.estimate, adaptive.kinematics
-    estimate.accepted_ns = t_ns
-    if t_ns >= kinematics.jump_ns:
-        estimate.frame = kinematics.jump_pose
-
-
-@jit
 def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     """Initialise with level ground at the first height; the performance index from before a loss stays.
 
@@ -117,13 +101,11 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         reset_effort(shadow)
         initialise_noise(noise)
         initialise_gate(gate)
-        reset_delay(adaptive.latency)
     estimate.samples = 1
     if fresh or adapt:
         update_weights(params, adaptive, math.inf)  # without their filter
     reset_gate(gate)
-    estimate.sample_ns = t_ns
-    note_accepted(adaptive, t_ns)
+    estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = t_ns
     estimate.settle_ns = t_ns + SETTLING_NS
@@ -195,12 +177,12 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     noise, gate, bank, estimate = adaptive.noise, adaptive.gate, adaptive.bank, adaptive.estimate
     kinematics = adaptive.kinematics
     dt, since_accepted_ns = (t_ns - estimate.sample_ns) * 1e-9, t_ns - estimate.accepted_ns
-    other_frame = estimate.frame < kinematics.climb_jump_pose and t_ns >= kinematics.jump_ns
+    other_frame = estimate.accepted_ns < kinematics.climb_jump_ns and t_ns >= kinematics.jump_ns
     outdated = travel_m > MAX_TRAVEL_M or since_accepted_ns > params.loss_timeout_ns
     if estimate.samples == 0 or outdated or other_frame:
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
         return True
-    gap = t_ns - estimate.sample_ns > max(GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
+    gap = t_ns - estimate.sample_ns > max(PAUSE_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
     travel = max(travel_m, MIN_SPEED_MPS * dt)
     over_ns = t_ns - int(compared_lag_s(adaptive) * 1e9)
     comparable = propagate_shadows(params, adaptive, over_ns)
@@ -210,18 +192,19 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     estimate.height_m = blend_height(adaptive)
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
-    steepest = (STEEPEST_SLOPE + max(-estimate.slope, 0.0)) * travel * (since_accepted_ns * 1e-9 / dt)
+    steepest = (1.0 + max(-estimate.slope, 0.0)) * travel * (since_accepted_ns * 1e-9 / dt)
     update_travel(params, gate, travel)
-    decision, width = gate_sample(params, adaptive, innovation, travel, steepest, gap)
-    if decision == HOLD and adapt and estimate.samples > 1:
-        update_scale(gate, innovation, width)  # frequent ones mean rough ground
-    if decision in (HOLD, PENDING):
+    enters, width = gate_sample(params, adaptive, innovation, travel, steepest, gap)
+    outside = abs(innovation) > width
+    if not enters:
+        if adapt and not outside and estimate.samples > 1:
+            update_scale(gate, innovation, width)  # frequent ones mean rough ground
         withhold_sample(gate, innovation, steepest)
         return False
-    if decision == OUTVOTED:
+    if outside and gate.pending > estimate.samples:
         restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
         return True
-    if decision == STEP:
+    if outside:
         confirm_step(params, adaptive)
         innovation = h_m - estimate.height_m
     else:
@@ -246,8 +229,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     if adaptive.weights.scored == 0:
         reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)
     estimate.samples += 1
-    note_accepted(adaptive, t_ns)
-    if estimate.samples >= INITIALISATION_SAMPLES:
+    estimate.accepted_ns = t_ns
+    if estimate.samples >= CONFIRMATION_SAMPLES:
         estimate.confirmed_ns = t_ns
     store_ground(adaptive, estimate.arc_length_m, h_m)
     return True

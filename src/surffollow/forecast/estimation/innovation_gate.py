@@ -7,10 +7,10 @@ because it may be a slot. The distance depends on the likelihood of slots: slots
 import math
 
 from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PLAUSIBLE_SLOPE, QUICK_RATE
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-SCALE_RATE = 0.02  # of the usual innovation, per sample
 PERMANENT_STEPS = 0.2  # likelihood of slots below which two samples confirm a step
 SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # factor per step that stays; least value
 STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need no travel
@@ -19,18 +19,12 @@ STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need n
 CONFIRMATION_TAUS = 0.5
 BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and two pending ones do not agree
-INITIALISATION_SAMPLES = 3  # fewer are not confirmed: one of them may be a glitch
-MAX_RISE = 3.0  # of the travel: nearer pending samples go on by so much, on a flank of 72 degrees
-PLAUSIBLE_SLOPE = 0.2  # ground may change by so much of the travel since the sample before: sparse samples
-# decisions about a sample: inside the gate; beyond the inner gate; outside; a step is confirmed;
-# more samples are pending than accepted
-ACCEPT, HOLD, PENDING, STEP, OUTVOTED = range(5)
 
 
 @jit
 def update_scale(gate, innovation_m, gate_m):
     """Update the usual innovation."""
-    gate.scale_m += SCALE_RATE * (1.25 * min(abs(innovation_m), gate_m) - gate.scale_m)
+    gate.scale_m += QUICK_RATE * (1.25 * min(abs(innovation_m), gate_m) - gate.scale_m)
 
 
 @jit
@@ -56,17 +50,15 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
     """
     gate, samples = adaptive.gate, adaptive.estimate.samples
     usual, sparse_m = gate_width(params, gate), PLAUSIBLE_SLOPE * travel_m
-    plausible = sparse_m if samples >= INITIALISATION_SAMPLES else steepest_m
+    plausible = sparse_m if samples >= CONFIRMATION_SAMPLES else steepest_m
     width = max(usual, plausible)
     # while no slope is known, samples of nearer ground count on their own
     sparse = (plausible if innovation_m > 0.0 else sparse_m) > usual
     if not sparse and needs_second_sample(adaptive, innovation_m, width):
-        return HOLD, width
+        return False, width
     if not abs(innovation_m) > width:  # NaN too: the cycle then begins without knowledge
-        return ACCEPT, width
-    if not hold_pending(params, adaptive, innovation_m, travel_m, width, gap):
-        return PENDING, width
-    return OUTVOTED if gate.pending > samples else STEP, width
+        return True, width
+    return hold_pending(params, adaptive, innovation_m, travel_m, width, gap), width
 
 
 @jit
@@ -101,7 +93,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
     if further * innovation_m > 0.0:  # on a flank the outliers of a slow sensor go on in their direction
         tolerance += travel_m
         if innovation_m > 0.0:
-            tolerance = max(tolerance, MAX_RISE * travel_m)
+            tolerance = max(tolerance, MAX_SLOPE * travel_m)
     agrees = gate.pending > 0 and abs(further) < tolerance
     if not agrees and gate.pending >= params.step_samples and gate.odd == 0:
         gate.odd = 1  # a glitch among many that agree
@@ -198,7 +190,7 @@ def accept_sample(params, gate):
     if gate.pending >= params.step_samples:
         gate.slot_likelihood = 1.0
     gate.pending = gate.rejected = 0
-    gate.withheld_m = 0.0
+    gate.unconfirmed_m = gate.withheld_m = 0.0
 
 
 @jit

@@ -9,27 +9,22 @@ import math
 
 import numpy as np
 
-from surffollow.forecast.estimation.model_bank import (
-    KIND,
-    SCALE,
-    WAVES,
-)
+from surffollow.forecast.estimation.model_bank import KIND, SCALE, WAVES
 from surffollow.forecast.estimation.setpoint_lead import update_lead
+from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
 NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
 WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
 WEIGHT_INTERVAL_S = 0.005  # quicker sensors do not update the weights with each sample
-MIN_TIME_CONSTANT_S = 1e-6  # avoids a division by zero at the first samples
-FULL_POWER_SAMPLES = 500  # for the full power of the index
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[KIND]
 # power of the effort: on rough ground the smoother of two equal models is better, and during
 # burn-in a model that follows the noise may fit by chance
 ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
 # phase of a wave between two samples: from π on it is an alias of a longer one
-MAX_WAVE_PHASE, EXCLUDED = 2.0 * math.pi / 3.0, 1e300
+MAX_WAVE_PHASE = 2.0 * math.pi / 3.0
 INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
 
 
@@ -105,7 +100,7 @@ def compute_costs(params, adaptive):
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
         c += p_e * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
         is_alias = i >= WAVES and SCALE[i] * spacing_m > MAX_WAVE_PHASE
-        weights.cost[i] = EXCLUDED if is_alias else c
+        weights.cost[i] = math.inf if is_alias else c
 
 
 @jit
@@ -119,14 +114,14 @@ def update_weights(params, adaptive, dt_s):
     """
     weights = adaptive.weights
     compute_costs(params, adaptive)
-    least, total = EXCLUDED, 0.0
+    least, total = math.inf, 0.0
     for i in range(N_MODELS):
         least = min(least, weights.cost[i])
     for i in range(N_MODELS):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
     alpha = weights.scored / FULL_POWER_SAMPLES
-    rate = 1.0 - math.exp(-dt_s / max(WEIGHT_TIME_CONSTANT_S * alpha, MIN_TIME_CONSTANT_S))
+    rate = 1.0 - math.exp(-dt_s / (WEIGHT_TIME_CONSTANT_S * alpha))
     for i in range(N_MODELS):
         weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
     weights.waiting_s = 0.0

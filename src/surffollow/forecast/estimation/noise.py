@@ -2,11 +2,11 @@
 
 import math
 
+from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
 from surffollow.shm.jit import jit
 
 MIN_NOISE_M = 50e-6  # floor of the variance that the bank assumes
 INITIAL_NOISE_M = 300e-6  # assumed before it is estimated
-MEDIAN_RATE, MEDIAN_BURN_IN_RATE = 0.004, 0.02  # of the running median, per sample
 MEDIAN_SAMPLES = 2.0  # the rate is this over the samples so far, within the two
 MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 
@@ -17,7 +17,7 @@ def update_noise(adaptive, h_m):
     noise = adaptive.noise
     if adaptive.estimate.samples > 2:
         e = abs(h_m - 2.0 * noise.recent_m[0] + noise.recent_m[1])
-        rate = min(max(MEDIAN_SAMPLES / max(adaptive.weights.scored, 1), MEDIAN_RATE), MEDIAN_BURN_IN_RATE)
+        rate = min(max(MEDIAN_SAMPLES / max(adaptive.weights.scored, 1), SLOW_RATE), QUICK_RATE)
         step = rate * max(noise.median_m, 1e-5)
         noise.median_m = max(noise.median_m + (step if e > noise.median_m else -step), 0.0)
         noise.sigma_m = MAD_TO_SIGMA * noise.median_m

@@ -4,6 +4,7 @@ import math
 
 from surffollow.shm.jit import jit
 
+MAX_MODEL_ERROR_M = 5e-4  # of an axis model: beyond, another controller leads the robot
 BISECTIONS = 24  # resolution: 6e-8 of the interval searched
 PERIOD_S = 0.01  # of the plan: one controller period
 AXIS_STEP_NS = 2_000_000  # of all axis models

@@ -6,7 +6,7 @@ second, the next one tells when the demand is latched, and the demand published 
 """
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
-from surffollow.forecast.sensing.clock import MAX_GAP_NS
+from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
@@ -106,7 +106,6 @@ def begin_period(controller, now_ns):
     if 0 < dt < MAX_GAP_NS:
         rate = PERIOD_RATE if controller.usual_ns > 0.0 else 1.0
         controller.usual_ns += rate * (dt - controller.usual_ns)
-    controller.latch_ns[controller.periods & (N_PERIODS - 1)] = now_ns
     controller.periods += 1
     controller.period_ns = now_ns
 

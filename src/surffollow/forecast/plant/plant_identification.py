@@ -9,9 +9,11 @@ import math
 
 import numpy as np
 
-from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, step_axis
+from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, MAX_MODEL_ERROR_M, step_axis
 from surffollow.forecast.plant.controller_clock import period_at
 from surffollow.forecast.plant.shadow_axes import MAX_AXIS_GAP_NS
+from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import N_PLANTS
@@ -20,12 +22,8 @@ from surffollow.shm.layout_follow import POSES
 
 TAU_RATIO = 1.5  # between neighbouring τ
 TAU_SHARES = TAU_RATIO ** (np.arange(N_PLANTS) - N_PLANTS // 2)  # of the configured τ
-MAX_MODEL_ERROR_M = 5e-4  # beyond, another controller leads the robot, or it is built differently
 SUSPENSION_NS = 500_000_000  # then preview is suspended for so long
-ERROR_RATE = 0.004  # per pose report: 2.5 s at 100 Hz
-MIN_DIFFERENCE_M2 = 2.5e-9  # (50 µm)²: least difference of squared errors that identifies τ
 RESET_ERROR_M = 3e-3  # beyond, the robot does not follow: the axes begin at the tool
-TAU_RATE = 0.02  # per pose report, of ln τ
 POSITION_GAIN = 0.3  # of the observed axis, per report
 VELOCITY_GAIN_HZ = 2.0  # of the observed axis, per report
 
@@ -66,8 +64,14 @@ def time_steps(from_ns, to_ns):
 @jit
 def predict_axis(params, adaptive, to_ns):
     """Position and velocity of the observed axis at a later time [m, m/s]."""
+    plant = adaptive.plant
+    return follow_setpoints(params, adaptive, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
+
+
+@jit
+def follow_setpoints(params, adaptive, tau, z, v, to_ns):
+    """Position and velocity at a later time of an axis that follows the follower's own setpoints [m, m/s]."""
     plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
-    z, v, tau = plant.axis_m, plant.axis_mps, plant.tau_s
     steps, span_ns = time_steps(plant.t_ns, to_ns)
     for n in range(steps):
         target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
@@ -78,22 +82,11 @@ def predict_axis(params, adaptive, to_ns):
 @jit
 def propagate_axes(params, adaptive, to_ns):
     """Propagate all axis models with the follower's own setpoints."""
-    plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
-    steps, span_ns = time_steps(plant.t_ns, to_ns)
-    configured = plant.tau_configured_s
-    for n in range(steps):
-        target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
-        dt = span_ns * 1e-9 / steps
-        for k in range(N_PLANTS):
-            plant.position_m[k], plant.velocity_mps[k] = step_axis(
-                configured * TAU_SHARES[k],
-                v_max,
-                a_max,
-                plant.position_m[k],
-                plant.velocity_mps[k],
-                target,
-                dt,
-            )
+    plant = adaptive.plant
+    z, v = plant.position_m, plant.velocity_mps
+    for k in range(N_PLANTS):
+        tau = plant.tau_configured_s * TAU_SHARES[k]
+        z[k], v[k] = follow_setpoints(params, adaptive, tau, z[k], v[k], to_ns)
     plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
 
@@ -114,7 +107,7 @@ def best_time_constant(plant):
     for k in range(1, N_PLANTS):
         best = k if plant.error_m2[k] < plant.error_m2[best] else best
         greatest = max(greatest, plant.error_m2[k])
-    if greatest - plant.error_m2[best] < MIN_DIFFERENCE_M2:
+    if greatest - plant.error_m2[best] < MIN_NOISE_M**2:
         return 0.0
     # a parabola over √τ through three points: over τ its minimum is too high, over log τ too low
     b = min(max(best, 1), N_PLANTS - 2)
@@ -159,7 +152,7 @@ def update_plant(params, adaptive, sense, adapt):
         reset_axes(params, adaptive, t, z)
         return
     propagate_axes(params, adaptive, t)
-    least = 1e300
+    least = math.inf
     for k in range(N_PLANTS):
         least = min(least, abs(plant.position_m[k] - z))
     if not least < MAX_MODEL_ERROR_M:
@@ -176,10 +169,10 @@ def update_plant(params, adaptive, sense, adapt):
         return
     for k in range(N_PLANTS):
         e = plant.position_m[k] - z
-        plant.error_m2[k] += ERROR_RATE * (e * e - plant.error_m2[k])
+        plant.error_m2[k] += SLOW_RATE * (e * e - plant.error_m2[k])
     tau = best_time_constant(plant)
     if tau > 0.0:
-        plant.tau_s *= math.exp(TAU_RATE * math.log(tau / plant.tau_s))
+        plant.tau_s *= math.exp(QUICK_RATE * math.log(tau / plant.tau_s))
 
 
 @jit

@@ -7,6 +7,7 @@ import math
 
 from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, PERIOD_S, step_axis
 from surffollow.forecast.plant.controller_clock import period_at
+from surffollow.forecast.quantities import QUICK_RATE
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_AXES, N_MODELS, N_PERIODS
 
@@ -15,9 +16,7 @@ MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
 MAX_LAG_S = 0.32  # of a sensor that trails: half the setpoints kept, the others are for its latency
 MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest, too
 MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
-EFFORT_RATE = 0.02  # per controller period
 MAX_EFFORT = 100.0  # (10 m/s²)²: bounds the memory of a step
-PERIOD_RATE_HZ2 = 1.0 / PERIOD_S**2  # squared rate of the controller
 
 
 @jit
@@ -89,8 +88,8 @@ def update_effort(adaptive):
     for i in range(N_MODELS):
         one_m, two_m = before_m[i], before_m[N_MODELS + i]
         if adaptive.controller.periods > 1:
-            accel = PERIOD_RATE_HZ2 * (newest_m[i] - 2.0 * one_m + two_m)
-            shadow.effort[i] += EFFORT_RATE * (min(accel * accel, MAX_EFFORT) - shadow.effort[i])
+            accel = 1.0 / PERIOD_S**2 * (newest_m[i] - 2.0 * one_m + two_m)
+            shadow.effort[i] += QUICK_RATE * (min(accel * accel, MAX_EFFORT) - shadow.effort[i])
             shadow.log_effort[i] = math.log(shadow.effort[i] + 1.0)  # in (1 m/s²)²
         before_m[i], before_m[N_MODELS + i] = newest_m[i], one_m
 

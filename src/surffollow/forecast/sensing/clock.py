@@ -1,11 +1,7 @@
 """The follower's time: the latest timestamp of steps and poses. Means over usual numbers of samples."""
 
+from surffollow.forecast.quantities import LONG_GAP_NS, USUAL_SAMPLES
 from surffollow.shm.jit import jit
-
-MAX_GAP_NS = 50_000_000  # longer without a sample or report: a drop-out; nothing is extrapolated over it
-LONG_GAP_NS = 1_000_000_000  # reports so far apart are of two motions, timestamps of two clocks
-CONFIRMATION_SAMPLES = 3  # in a row are no chance: near the fold-back, or with a timestamp that goes back
-USUAL_SAMPLES = 20  # in the usual value of a delay, an interval, a distance
 
 
 @jit

@@ -1,7 +1,13 @@
 """Health of the ranging: drop-outs, health states with hysteresis, latched faults."""
 
 from surffollow.forecast.attitude.rotation_response import has_failed
-from surffollow.forecast.sensing.clock import CONFIRMATION_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, USUAL_SAMPLES
+from surffollow.forecast.quantities import (
+    CONFIRMATION_SAMPLES,
+    LONG_GAP_NS,
+    MAX_GAP_NS,
+    PAUSE_NS,
+    USUAL_SAMPLES,
+)
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
@@ -12,7 +18,6 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
-LEAVE_NS = 100_000_000  # a better one after so long
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
 MAX_UNCERTAIN = 0.35  # of the stand-off: no demand is valid when more of the clearance may be lost unseen
 WINDOW_EDGE_M = 0.003  # a loss so near an end of the window, as the last sample or the next, is OUT_OF_RANGE
@@ -136,7 +141,7 @@ def update_health(params, adaptive, sense):
     state, reason = present_health(params, adaptive, silent_channels(params, health, now_ns))
     if state != health.candidate:
         health.candidate, health.since_ns = state, now_ns
-    wait_ns = ENTER_NS if state > health.state else LEAVE_NS
+    wait_ns = ENTER_NS if state > health.state else PAUSE_NS
     if health.state < layout.DROPOUT and is_lost(params, adaptive):
         wait_ns = 0  # there is no demand: the reason is published at once
     if state == health.state or now_ns - health.since_ns >= wait_ns:

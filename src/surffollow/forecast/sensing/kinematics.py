@@ -3,28 +3,27 @@
 import math
 
 from surffollow.forecast.pose import pose_at
-from surffollow.forecast.sensing.clock import LONG_GAP_NS, MAX_GAP_NS
+from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
 # over which the lateral velocity is taken: noise averages out; reports farther apart show no jump
-SPEED_WINDOW_NS = 100_000_000
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MAX_JUMP_M = 0.02  # distance between two reports beyond the velocity: more is a jump of the frame
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
 
 @jit
-def oldest_pose_within(sense, window_ns, first_pose):
+def oldest_pose_within(sense, window_ns, first_ns):
     """Count of the newest pose report that is at least `window_ns` older than the newest one.
 
-    Reports from before a long gap, or before the report `first_pose`, do not count; the newest one may be
+    Reports from before a long gap, or before the time `first_ns`, do not count; the newest one may be
     the only one.
     """
     k = sense.pose_count - 1
-    oldest = max(first_pose, k - POSES + 1)
+    oldest = max(0, k - POSES + 1)
     t = sense.pose_t_ns[k & (POSES - 1)]
-    while k > oldest and t - sense.pose_t_ns[k & (POSES - 1)] < window_ns:
+    while k > oldest and first_ns != sense.pose_t_ns[k & (POSES - 1)] > t - window_ns:
         k -= 1
     return k + 1 if t - sense.pose_t_ns[k & (POSES - 1)] > LONG_GAP_NS else k
 
@@ -60,19 +59,19 @@ def note_jump(params, kinematics, sense):
     """
     last = sense.pose_count - 1
     vx, vy, vz, dt = velocity_between(sense, last - 1, last)
-    if not 0.0 < dt <= SPEED_WINDOW_NS * 1e-9:
+    if not 0.0 < dt <= PAUSE_NS * 1e-9:
         return False
     aside = math.hypot(vx - kinematics.velocity_x_mps, vy - kinematics.velocity_y_mps) * dt
     if last > 1:
         before_x, before_y, _, before_s = velocity_between(sense, last - 2, last - 1)
-        if 0.0 < before_s <= SPEED_WINDOW_NS * 1e-9:
+        if 0.0 < before_s <= PAUSE_NS * 1e-9:
             aside = min(aside, math.hypot(vx - before_x, vy - before_y) * dt)
     climbed = abs(vz - kinematics.climb_mps) * dt > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * dt)
     if not climbed and aside <= MAX_JUMP_M:
         return False
-    kinematics.jump_pose, kinematics.jump_ns = last, sense.pose_t_ns[last & (POSES - 1)]
+    kinematics.jump_ns = sense.pose_t_ns[last & (POSES - 1)]
     if climbed:
-        kinematics.climb_jump_pose = last
+        kinematics.climb_jump_ns = kinematics.jump_ns
     return True
 
 
@@ -87,12 +86,12 @@ def update_kinematics(params, kinematics, sense):
     """Lateral and vertical velocity of the tool from its reports, 0 with one; returns whether it jumped."""
     if kinematics.pose_count == sense.pose_count:
         return False
-    jumped = kinematics.pose_count > 0 and note_jump(params, kinematics, sense)
+    jumped = 0 < kinematics.pose_count < sense.pose_count and note_jump(params, kinematics, sense)
     kinematics.pose_count = sense.pose_count
-    last, jump = sense.pose_count - 1, kinematics.jump_pose
-    if last == jump and jump > 0:
+    last, jump = sense.pose_count - 1, kinematics.jump_ns
+    if sense.pose_t_ns[last & (POSES - 1)] == jump:
         return jumped  # the velocity is that before the jump
-    first = oldest_pose_within(sense, SPEED_WINDOW_NS, jump)
+    first = oldest_pose_within(sense, PAUSE_NS, jump)
     vx, vy, _, _ = velocity_between(sense, first, last)
     kinematics.velocity_x_mps, kinematics.velocity_y_mps = vx, vy
     kinematics.speed_mps = math.sqrt(vx**2 + vy**2)

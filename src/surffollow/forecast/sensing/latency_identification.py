@@ -10,12 +10,13 @@ import math
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import pose_at
-from surffollow.forecast.sensing.clock import USUAL_SAMPLES
+from surffollow.forecast.quantities import FULL_POWER_SAMPLES, USUAL_SAMPLES
+from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.forecast.sensing.kinematics import CLIMB_WINDOW_NS
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_follow import POSES
 
 PRIOR_S = 0.03  # standard deviation of the latency before a rest
-MAX_SAMPLES = 500  # samples after which a rest is concluded
 MIN_CLIMB_RMS_MPS = 0.015  # RMS deviation of the climb rate: less identifies nothing
 OUTLIER_GATE_M = 8e-3  # heights so far from the mean are glitches
 MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
@@ -35,7 +36,7 @@ def reset_window(latency):
 @jit
 def update_delay(latency, delay_s, interval_s):
     """Update the usual and the least delay with that of a sample, at the usual interval [s]."""
-    latency.delay_s += (delay_s - latency.delay_s) / USUAL_SAMPLES
+    latency.delay_s = follow_usual(latency.delay_s, delay_s)
     least_s = min(latency.least_s, delay_s) if latency.least_s != 0.0 else delay_s
     latency.least_s = least_s + min(interval_s / LEAST_DELAY_S, 1.0) * (delay_s - least_s)
 
@@ -49,12 +50,6 @@ def is_late(params, adaptive):
     latency = adaptive.latency
     younger_s = 0.5 * (params.sensor_readings - 1) * adaptive.prediction.interval_s
     return latency.delay_s - latency.least_s > LATE_TAUS * adaptive.plant.tau_s + younger_s
-
-
-@jit
-def reset_delay(latency):
-    """Discard the usual delay."""
-    latency.delay_s = latency.least_s = 0.0
 
 
 @jit
@@ -106,9 +101,10 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     latency = adaptive.latency
     near = latency.count == 0 or abs(h_m - latency.mean_height_m) <= OUTLIER_GATE_M
     if at_rest and near:
-        pose_at(sense, t_ns - CLIMB_WINDOW_NS // 2, 1, pose)
+        end_ns = min(t_ns + CLIMB_WINDOW_NS // 2, sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)])
+        pose_at(sense, end_ns - CLIMB_WINDOW_NS, 1, pose)
         z = pose[2]
-        pose_at(sense, t_ns + CLIMB_WINDOW_NS // 2, 1, pose)
+        pose_at(sense, end_ns, 1, pose)
         climb = (pose[2] - z) / (1e-9 * CLIMB_WINDOW_NS)
         latency.count += 1
         dc, dh = climb - latency.mean_climb_mps, h_m - latency.mean_height_m
@@ -117,5 +113,5 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
         latency.climb_climb += dc * (climb - latency.mean_climb_mps)
         latency.climb_height += dc * (h_m - latency.mean_height_m)
         latency.height_height += dh * (h_m - latency.mean_height_m)
-    if not at_rest or latency.count >= MAX_SAMPLES:
+    if not at_rest or latency.count >= FULL_POWER_SAMPLES:
         update_correction(adaptive, adapt)

@@ -6,14 +6,15 @@ range → pose at the range's timestamp → footprint → latency, health, plane
 import math
 
 from surffollow.forecast.attitude.beam_detection import observe_beams, release_beams
-from surffollow.forecast.attitude.plane_fit import plane_height
+from surffollow.forecast.attitude.plane_fit import plane_height, reset_plane
 from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation, reset_rotation
 from surffollow.forecast.estimation.adaptation import update_deadband
 from surffollow.forecast.estimation.estimate import discard_estimate, turn_estimate, update_estimate
 from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.fold_back import watch_fold_back
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.sensing.clock import MAX_GAP_NS, follow_usual
+from surffollow.forecast.quantities import MAX_GAP_NS
+from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.forecast.sensing.health import count_close, dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, distance_along, predict_pose
 from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
@@ -102,6 +103,7 @@ def take_sample(params, adaptive, sense, inputs, output, orients, pose):
     else:
         output.fresh &= ~1
         release_beams(adaptive.beams)
+        reset_plane(adaptive.plane)
         reset_rotation(adaptive.rotation)
     if channel < 0:
         return False, channel, 0.0, 0

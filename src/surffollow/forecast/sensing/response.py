@@ -12,7 +12,7 @@ ground: it is tested by that shift, and then by a greater one, but never held.
 """
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.terrain.terrain_buffer import MIN_LEAD_M
+from surffollow.forecast.quantities import APART_M, REPEAT_BAND
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import (
     RESPONSE_FAILED,
@@ -30,13 +30,12 @@ MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before 
 SHIFT_BANDS = 2.0  # … by so many bands
 ASCENT_SHARE = 0.25  # of an ascent counts
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
-REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance
 REPEAT_RATIO = 2.0  # in usual runs of repeated ranges: a longer one, of a mean at least, is a sign of a fault
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
 USUAL_SPREAD_SAMPLES = 256  # in that deviation
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 RUN_SAMPLES = 64  # in the mean of a run, and runs in the usual length of repeated ranges
-MIN_MEAN, MAX_MEAN = 2.0, 8.0  # samples in the mean range: those of a time constant
+MIN_READINGS, MAX_READINGS = 2.0, 8.0  # samples in the mean range: those of a time constant
 BAND_SIGMAS = 3.0  # of the mean: the range has changed; of a sample, which moves the mean by no more
 TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
@@ -88,7 +87,7 @@ def _count_repeats(response, range_m, sigma_m):
 @jit
 def _repeats(response):
     """Whether the newest ranges are repeated far more often than usual."""
-    return response.repeats >= max(REPEAT_RATIO * response.usual_repeats, MAX_MEAN)
+    return response.repeats >= max(REPEAT_RATIO * response.usual_repeats, MAX_READINGS)
 
 
 @jit
@@ -160,23 +159,23 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     rate, repeats = response.rate_mps, _repeats(response)
     if response.run_samples <= MIN_MEANS * number:
         return
-    if rises and number <= MIN_MEAN and not repeats:  # the ground changes while an answer is awaited
+    if rises and number <= MIN_READINGS and not repeats:  # the ground changes while an answer is awaited
         return
     motion = ASCENT_SHARE * ascent if rises else descent
-    below = abs(adaptive.sample.lead_m) < MIN_LEAD_M
+    below = abs(adaptive.sample.lead_m) < APART_M
     error = abs(response.run_range_m - standoff_m) if below else 0.0
     wrong = is_suspicious(error, motion, rate, band_m, tau, standoff_m)
     quiet = _is_quiet(response)
     perceptible = motion > MOTION_BANDS * band_m
     suspicious = perceptible and (wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED)
-    fast = number >= MAX_MEAN  # with fewer samples in τ the ground changes while an answer is awaited
+    fast = number >= MAX_READINGS  # with fewer samples in τ the ground changes while an answer is awaited
     doubtful = perceptible and fast and error > LAG_TAUS * tau * rate
     doubtful = doubtful and error * motion > SHIFT_ERROR_MOTION * band_m * standoff_m
     shifts = suspicious or doubtful or motion > SHIFT_DESCENT * standoff_m
     if shifts and response.lift_m == 0.0 and response.run_samples > 2.0 * MIN_MEANS * number:
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
     stop_m = rate * (adaptive.latency.delay_s + tau)  # until the axis has stopped
-    far = number > MIN_MEAN and descent + stop_m > MAX_DESCENT * standoff_m
+    far = number > MIN_READINGS and descent + stop_m > MAX_DESCENT * standoff_m
     late = response.lift_m > 0.0 and (t_ns - response.test_ns) * 1e-9 > _answer_s(adaptive, number)
     response.rises, response.repeated = 1 if rises else 0, 1 if repeats and not (wrong or quiet) else 0
     if rises and late:  # the greater shift stands out from the lag of the axis
@@ -251,7 +250,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     """
     response, interval_s = adaptive.response, max(adaptive.prediction.interval_s, 1e-6)
     sigma = max(adaptive.noise.sigma_m, MIN_NOISE_M)
-    number = min(max(adaptive.plant.tau_s / interval_s, MIN_MEAN), MAX_MEAN)
+    number = min(max(adaptive.plant.tau_s / interval_s, MIN_READINGS), MAX_READINGS)
     band = BAND_SIGMAS * sigma / number**0.5
     begins = response.t_ns == 0 or not 0.0 < (t_ns - response.t_ns) * 1e-9 <= gap_s
     response.t_ns = t_ns

@@ -3,7 +3,7 @@
 A sensor holds each value for a while, and the converter reads it many times.
 """
 
-from surffollow.forecast.sensing.clock import CONFIRMATION_SAMPLES
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 

@@ -2,28 +2,30 @@
 
 import math
 
-from surffollow.forecast.estimation.innovation_gate import INITIALISATION_SAMPLES, is_slow, withheld_setpoint
-from surffollow.forecast.estimation.model_bank import (
-    WAVES,
-    extrapolate_bank,
-)
+from surffollow.forecast.estimation.innovation_gate import is_slow, withheld_setpoint
+from surffollow.forecast.estimation.model_bank import WAVES, extrapolate_bank
 from surffollow.forecast.plant.controller_clock import begin_period
 from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
+from surffollow.forecast.quantities import (
+    CONFIRMATION_SAMPLES,
+    CONFIRMED_SAMPLES,
+    MISSING_NS,
+    PAUSE_NS,
+    PLAUSIBLE_SLOPE,
+)
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.measurement import has_turned_back
 from surffollow.forecast.sensing.unseen_ground import rise_rate
-from surffollow.forecast.setpoint.setpoint_limits import CONFIRMED_SAMPLES, PAUSE_S
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
-DROPOUT_TOLERANCE_S = 0.025  # a single missing sample is no drop-out
 UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer is taken back in a drop-out
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5  # in deadbands
-SLOPE_LIMIT = 0.2  # slope that is never clamped …
-SLOPE_LIMIT_RMS = 3.0  # … or multiples of the RMS slope of the last metre …
+# a change of height is clamped to the plausible slope, or to so many RMS slopes of the last metre …
+SLOPE_LIMIT_RMS = 3.0
 HEIGHT_MARGIN_M = 1e-3  # … plus this
 # of the travel since the newest sample of a slow sensor: valleys cost 17 instead of 3 mm of clearance with 0
 # (bench_hazards.py, "valley and slow"), a winch's error is 15 % greater with 1 (bench_scales.py)
@@ -36,7 +38,7 @@ def dropout_s(adaptive):
     return (
         (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9
         - adaptive.latency.delay_s
-        - max(DROPOUT_TOLERANCE_S, dropout_tolerance_s(adaptive.prediction))
+        - max(MISSING_NS * 1e-9, dropout_tolerance_s(adaptive.prediction))
     )
 
 
@@ -129,7 +131,7 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     speed_mps = kinematics.speed_mps
     if turned:  # along the way of the newest sample
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
-    max_slope = max(SLOPE_LIMIT, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
+    max_slope = max(PLAUSIBLE_SLOPE, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     recent = (
         estimate.accepted_ns - gate.step_ns < UNCONFIRMED_STEP_NS
@@ -137,7 +139,7 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     )
     if dropout > 0.0 and gate.step_m < 0.0 and recent:
         z -= gate.step_m
-    if dropout > 0.0:
+    if dropout > 0.0 and estimate.samples > 1:
         z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)
     else:
         blend.tracked_m = z
@@ -161,15 +163,16 @@ def filter_setpoint(params, adaptive, target_m):
     if dt == 0.0:
         return blend.filtered_m
     blend.filtered_ns = clock.now_ns
-    if not 0.0 < dt < PAUSE_S:
+    if not 0.0 < dt < PAUSE_NS * 1e-9:
         blend.filtered_m = target_m
         return target_m
     blend.filtered_m += blend.rate_mps * dt
     e = target_m - blend.filtered_m
-    excess = abs(e) - adaptation.deadband_m
+    deadband_m = params.deadband_share * adaptation.permitted_variance_m
+    excess = abs(e) - deadband_m
     if excess > 0.0:
-        softness = DEADBAND_SOFTNESS * adaptation.deadband_m
-        remaining = adaptation.deadband_m + excess * softness / (softness + excess * dt / DEADBAND_DECAY_S)
+        softness = DEADBAND_SOFTNESS * deadband_m
+        remaining = deadband_m + excess * softness / (softness + excess * dt / DEADBAND_DECAY_S)
         blend.filtered_m = target_m - math.copysign(remaining, e)
     return blend.filtered_m
 
@@ -188,10 +191,10 @@ def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, age_s, stuck):
     stuck : bool          the range does not respond to the tool's motion
     """
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
-    if estimate.frame < kinematics.jump_pose and kinematics.jump_ns <= adaptive.clock.now_ns:
+    if estimate.accepted_ns < kinematics.jump_ns <= adaptive.clock.now_ns:
         return tool_z_m  # heights are in the frame before the jump
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
-    hardly_known = few or estimate.samples < INITIALISATION_SAMPLES
+    hardly_known = few or estimate.samples < CONFIRMATION_SAMPLES
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(adaptive.response, standoff_m)
     # ground that is not seen may rise as steeply as it did before

@@ -9,17 +9,15 @@ ground, which may be a slot.
 
 import math
 
+from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, PAUSE_NS
 from surffollow.shm.jit import jit, jit_inlined
 
-PAUSE_S = 0.1  # after so long without a call the filter begins at the blend, the setpoint at the tool …
-PAUSE_INTERVALS = 3.0  # … or after so many intervals of a slow caller
-INITIAL_INTERVAL_S = 0.05  # a first long interval counts as this; later ones double it at most
+PAUSE_INTERVALS = 3.0  # of a slow caller, if longer than `PAUSE_NS`: then the setpoint begins at the tool
 INTERVAL_RATE = 0.2  # of the usual interval, per call
 MIN_INTERVAL_RATE = 0.002  # at which the shortest interval fades
 MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small; also that of the first cycle
 MAX_STEP_S = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
 VELOCITY_RATIO, ACCELERATION_RATIO = 2.0, 20.0  # to the limits of the axis: quicker setpoints add effort only
-CONFIRMED_SAMPLES = 25  # of an estimate: with fewer there is no arrival, and after a drop-out no descent
 ARRIVED_M = 1e-5  # a setpoint that reaches its target in a cycle is on it but for rounding
 SLOT_GROUP_LENGTHS = 12.0  # of `step_travel`: length of slots and of their groups behind a fall of the ground
 BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
@@ -101,14 +99,14 @@ def next_acceleration(e_m, v_mps, a_mps2, dt_s, next_s, v_max, a_max, jerk):
 @jit
 def restart_pause_s(setpoint):
     """Pause after which a setpoint begins at the tool again [s]."""
-    return max(PAUSE_S, PAUSE_INTERVALS * setpoint.interval_s)
+    return max(PAUSE_NS * 1e-9, PAUSE_INTERVALS * setpoint.interval_s)
 
 
 @jit
 def update_interval(setpoint, dt_s):
     """Update the usual and the shortest interval between calls."""
     if dt_s > setpoint.interval_s:
-        setpoint.interval_s = min(dt_s, max(2.0 * setpoint.interval_s, INITIAL_INTERVAL_S))
+        setpoint.interval_s = min(dt_s, max(2.0 * setpoint.interval_s, MAX_GAP_NS * 1e-9))
     else:
         setpoint.interval_s += INTERVAL_RATE * (dt_s - setpoint.interval_s)
     if setpoint.min_interval_s == 0.0 or dt_s < setpoint.min_interval_s:
@@ -170,21 +168,18 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     target_m, tool_z_m : float64
     """
     setpoint = adaptive.setpoint
-    if setpoint.t_ns == 0:
-        dt = MIN_INTERVAL_S
-    else:
-        dt = (now_ns - setpoint.t_ns) * 1e-9
+    pause, dt = setpoint.t_ns == 0, (now_ns - setpoint.t_ns) * 1e-9
+    if not pause:
         if dt <= 0.0:
             return
-    pause = setpoint.t_ns == 0 or dt > restart_pause_s(setpoint)
-    if setpoint.t_ns != 0:
+        pause = dt > restart_pause_s(setpoint)
         update_interval(setpoint, dt)
     setpoint.t_ns = now_ns
     if pause:
         setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
         setpoint.approaching = 1
         dt = MIN_INTERVAL_S
-    if dt <= PAUSE_S:
+    if dt <= PAUSE_NS * 1e-9:
         propagate_setpoint(params, adaptive, target_m, min(dt, MAX_STEP_S))
         return
     steps = math.ceil(dt / MAX_STEP_S)

@@ -6,16 +6,15 @@ cycle. Where known ground lies below what channel 0 measures, preview would pull
 
 import math
 
-from surffollow.forecast.terrain.terrain_buffer import CELL_M, MIN_LEAD_M, buffered_height
+from surffollow.forecast.quantities import APART_M, SLOW_RATE
+from surffollow.forecast.terrain.terrain_buffer import CELL_M, buffered_height
 from surffollow.shm.jit import jit
 
 DISAGREEMENT_M = 1.5e-3  # heights of one place that differ by more …
 DISAGREEMENT_SIGMAS = 6.0  # … or by so many standard deviations of a reading disagree
 REGISTRATION_M = 2.0 * CELL_M  # error of the place of a known height
-DROP_LENGTH_M = 2.0 * MIN_LEAD_M  # over which a drop is taken, and for which a map is not used after an error
+DROP_LENGTH_M = 2.0 * APART_M  # over which a drop is taken, and for which a map is not used after an error
 MAX_UNCONFIRMED_DESCENT_M = 2.0 * DISAGREEMENT_M  # of a plan below the setpoint of the sensor under the tool
-BIAS_RATE = 0.004  # per sample
-MAX_BIAS_M = 5e-3  # greater differences are not a bias
 
 
 @jit
@@ -28,7 +27,7 @@ def known_height(adaptive, inputs, s_m, ahead_m):
     s_m : float64      arc length of the place, for the terrain buffer [m]
     ahead_m : float64  its distance ahead of the point under the newest pose, for the map [m]
     """
-    if adaptive.lookahead.lead_m > 0.0 or adaptive.sample.lead_m > MIN_LEAD_M:
+    if adaptive.lookahead.lead_m > 0.0 or adaptive.sample.lead_m > APART_M:
         return buffered_height(adaptive, s_m)
     if inputs.n_preview < 2 or not inputs.preview_step_m > 0.0:
         return math.nan
@@ -64,13 +63,13 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     gate = max(DISAGREEMENT_M, DISAGREEMENT_SIGMAS * adaptive.noise.sigma_m)
     agrees = lowest - gate < h_m - known.bias_m < highest + gate
     known.contradictions = 0 if agrees else known.contradictions + 1
-    fading = min(adaptive.sample.spacing_m / DROP_LENGTH_M, 1.0) if known.peak_m != 0.0 else 1.0
+    fading = min(adaptive.sample.spacing_m / (DROP_LENGTH_M), 1.0) if known.peak_m != 0.0 else 1.0
     known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)
     drop = known.peak_m - h_m
     if agrees and drop > MAX_UNCONFIRMED_DESCENT_M:
         known.descent_m += fading * max(drop - known.descent_m, 0.0)
-    bias_m = known.bias_m + BIAS_RATE * min(max(h_m - here - known.bias_m, -gate), gate)
-    known.bias_m = min(max(bias_m, -MAX_BIAS_M), MAX_BIAS_M)
+    bias_m = known.bias_m + SLOW_RATE * min(max(h_m - here - known.bias_m, -gate), gate)
+    known.bias_m = min(max(bias_m, -APART_M), APART_M)
     if known.contradictions < 2:
         return False
     known.descent_m = 0.0

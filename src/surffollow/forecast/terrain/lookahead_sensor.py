@@ -4,9 +4,10 @@ Their heights enter the terrain buffer; a sample that disagrees with the one bef
 """
 
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.sensing.kinematics import distance_along, predict_pose
+from surffollow.forecast.quantities import APART_M
+from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, distance_along, predict_pose
 from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M
-from surffollow.forecast.terrain.terrain_buffer import CELL_M, MIN_LEAD_M, store_ground
+from surffollow.forecast.terrain.terrain_buffer import CELL_M, store_ground
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
@@ -14,17 +15,17 @@ TIMEOUT_NS = 200_000_000  # a sensor without samples for so long does not lead
 
 
 @jit
-def observe_lookahead(params, adaptive, sense, moving, pose):
+def observe_lookahead(params, adaptive, sense, pose):
     """Store the ground that channels 1 and up measure ahead of channel 0's footprint.
 
     Parameters
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
-    moving : bool            the direction of travel is known; otherwise no channel leads
     pose : (7,) float64      scratch
     """
     clock, kinematics, sample = adaptive.clock, adaptive.kinematics, adaptive.sample
     estimate, lookahead = adaptive.estimate, adaptive.lookahead
+    moving = kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS  # otherwise no channel leads
     if not moving or clock.now_ns - lookahead.seen_ns > TIMEOUT_NS:
         lookahead.lead_m = 0.0
     if not moving or estimate.samples == 0:
@@ -42,7 +43,7 @@ def observe_lookahead(params, adaptive, sense, moving, pose):
         across = (dx * kinematics.velocity_y_mps - dy * kinematics.velocity_x_mps) / kinematics.speed_mps
         agrees = abs(z - lookahead.height_m[c]) < DISAGREEMENT_M
         lookahead.height_m[c] = z
-        leads = MIN_LEAD_M < along < (BUFFER_CELLS - 1) * CELL_M and abs(across) < MIN_LEAD_M
+        leads = APART_M < along < (BUFFER_CELLS - 1) * CELL_M and abs(across) < APART_M
         if agrees and leads:
             store_ground(adaptive, estimate.arc_length_m + along, z)
             lookahead.lead_m, lookahead.seen_ns = along, clock.now_ns

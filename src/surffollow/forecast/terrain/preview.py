@@ -4,7 +4,8 @@ import math
 
 from surffollow.forecast.estimation.model_bank import extrapolate_bank
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.plant.axis_model import PERIOD_S
+from surffollow.forecast.plant.axis_model import MAX_MODEL_ERROR_M, PERIOD_S
+from surffollow.forecast.quantities import APART_M, USUAL_SAMPLES
 from surffollow.forecast.terrain.known_ground import known_height
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
@@ -12,10 +13,8 @@ from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of the axis
 PREDICTION_M = 0.04  # over which predictions by the bank are compared; farther on they end
-MEAN_RATE = 0.05  # per prediction: over 0.8 m
 REVERSION = 1.5  # toward the recent mean, per share of the error of predictions
 SHARE_RATE = 0.15  # per controller period: preview fades in and out
-MAX_MODEL_ERROR_M2 = 2.5e-7  # (0.5 mm)²: beyond, the axis model is too wrong for a plan
 
 
 @jit
@@ -42,12 +41,12 @@ def observe_ground(adaptive, h_m, adapt):
     if s < preview.predicted_from_m + PREDICTION_M:
         return
     offset, error = h_m - preview.mean_m, h_m - preview.predicted_m
-    preview.mean_m += MEAN_RATE * offset
+    preview.mean_m += 1.0 / USUAL_SAMPLES * offset
     if s > preview.predicted_from_m + 2.0 * PREDICTION_M:
         preview.mean_m = h_m
     elif adapt:
-        preview.offset_m2 += MEAN_RATE * (offset * offset - preview.offset_m2)
-        preview.error_m2 += MEAN_RATE * (error * error - preview.error_m2)
+        preview.offset_m2 += 1.0 / USUAL_SAMPLES * (offset * offset - preview.offset_m2)
+        preview.error_m2 += 1.0 / USUAL_SAMPLES * (error * error - preview.error_m2)
     preview.predicted_m, preview.predicted_from_m = h_m + bank_rise(adaptive, PREDICTION_M), s
 
 
@@ -81,7 +80,7 @@ def extrapolate_ground(adaptive, known, ahead_m):
 
 
 @jit
-def collect_preview(adaptive, inputs, leads, s_m, ahead_m):
+def collect_preview(adaptive, inputs, s_m, ahead_m):
     """Fill `preview.ground_m` with the ground per controller period; returns the known periods.
 
     Parameters
@@ -91,7 +90,7 @@ def collect_preview(adaptive, inputs, leads, s_m, ahead_m):
     s_m : float64        arc length of the point under the tool at the latch time [m]
     ahead_m : float64    distance of that point ahead of the one under the newest pose [m]
     """
-    known, ground = adaptive.known, adaptive.preview.ground_m
+    known, ground, leads = adaptive.known, adaptive.preview.ground_m, adaptive.sample.lead_m > APART_M
     if not leads and adaptive.sample.arc_length_m < known.trusted_from_m:
         return 0
     bias_m, periods = 0.0 if leads else known.bias_m, 0
@@ -104,7 +103,7 @@ def collect_preview(adaptive, inputs, leads, s_m, ahead_m):
 
 
 @jit
-def update_share(adaptive, known, leads, plant_m2):
+def update_share(adaptive, known, plant_m2):
     """Raise or lower preview's share of the setpoint by one controller period.
 
     Parameters
@@ -114,9 +113,9 @@ def update_share(adaptive, known, leads, plant_m2):
     leads : bool        the ground is known from channel 0: an uncertain plan is better than none
     plant_m2 : float64  squared error of the best axis model [m²]
     """
-    preview = adaptive.preview
+    preview, leads = adaptive.preview, adaptive.sample.lead_m > APART_M
     trusted = leads or adaptive.clock.now_ns >= preview.suspended_until_ns
-    usable = known >= MIN_KNOWN_PERIODS and trusted and plant_m2 < MAX_MODEL_ERROR_M2
+    usable = known >= MIN_KNOWN_PERIODS and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
     preview.share += SHARE_RATE if usable else -SHARE_RATE
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0

@@ -5,11 +5,11 @@ After a turn the path leads elsewhere; cells that do not lie on it are ignored.
 
 import math
 
+from surffollow.forecast.quantities import APART_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
 CELL_M = 1e-3  # length of a cell along the path, side of a cell of the terrain memory
-MIN_LEAD_M = 0.005  # a footprint this far ahead leads, one this far from the path is not on it …
 OFF_PATH_SHARE = 0.2  # … or this share of the distance along it
 MAX_HOLE_CELLS = 8  # holes up to this long are bridged
 
@@ -29,7 +29,7 @@ def is_off_path(adaptive, c, s_m):
     """Whether cell c was measured away from the point of the path at an arc length."""
     buffer = adaptive.buffer
     x, y = point_at(adaptive, s_m)
-    tolerance = max(MIN_LEAD_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
+    tolerance = max(APART_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
     return math.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y) > tolerance
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.forecast.quantities import LONG_GAP_NS
 from surffollow.forecast.reference_scales import dimensionless_time
 from surffollow.forecast.terrain.preview_schedule import preview_window
 from surffollow.forecast.terrain.terrain_buffer import CELL_M
@@ -22,7 +23,6 @@ CELLS = 1 << 16  # number of cells
 ROW_STRIDE = 40503  # cells between two rows of the table: odd, and rows side by side are far apart
 MAX_COUNT = 64.0  # heights in a mean, at most
 MAX_COORDINATE_M = CELL_M * (1 << 31)  # farther away nothing is stored
-CURRENT_PASS_NS = 1_000_000_000  # younger heights belong to the present pass
 MEMORY = np.dtype(
     [(name, np.int64) for name in ("ix", "iy", "t_ns")]
     + [(name, np.float64) for name in ("n", "height_m", "n_before", "height_before_m")]
@@ -63,7 +63,7 @@ def store_height(memory, x_m, y_m, height_m, t_ns):
     m = cell_at(memory, ix, iy)
     if m.ix != ix or m.iy != iy:
         m.ix, m.iy, m.n, m.n_before = ix, iy, 0.0, 0.0
-    elif t_ns - m.t_ns > CURRENT_PASS_NS:
+    elif t_ns - m.t_ns > LONG_GAP_NS:
         m.n_before, m.height_before_m = m.n, m.height_m
     m.t_ns, m.n = t_ns, min(m.n + 1.0, MAX_COUNT)
     m.height_m += (height_m - m.height_m) / m.n
@@ -117,7 +117,7 @@ def read_preview(memory, params, state, inputs):
     i.preview_from_m = first
     i.preview_step_m = max(CELL_M * d.length, (last - first) / (MAX_PREVIEW - 1))
     n = min(int((last - first) / i.preview_step_m) + 2, MAX_PREVIEW)
-    before_ns = max(dimensionless_time(d, i.t_ns), state[0].adaptive.clock.now_ns) - CURRENT_PASS_NS
+    before_ns = max(dimensionless_time(d, i.t_ns), state[0].adaptive.clock.now_ns) - LONG_GAP_NS
     for k in range(n):
         travel = first + i.preview_step_m * k
         h = read_height(memory, (x + travel * ux) / d.length, (y + travel * uy) / d.length, before_ns)
