@@ -367,13 +367,13 @@ def test_a_plan_does_not_descend_before_a_cliff(standoff_m, window_m, drop_m, sc
     ("sensor_hz", "speed_mps", "slope"), [(15, 0.1, 1.5), (24, 0.07, 2.0), (24, 0.168, 1.5), (50, 0.15, 2.0)]
 )
 def test_a_flank_steeper_than_45_degrees(sensor_hz, speed_mps, slope, seed):
-    """GIVEN level ground WHEN a flank begins THEN its samples confirm it: none agreed, and it was hit."""
+    """GIVEN level ground WHEN a flank begins THEN each sample counts from the second one on."""
     job = Job(sensor_hz=sensor_hz, window_m=(0.03, 0.3), v_max_mps=0.8, a_max_mps2=16.0)
     places = speed_mps * 1e-3 * np.arange(int(0.3e3 / speed_mps))
     heights = np.minimum(slope * np.maximum(places - 0.1, 0.0), 0.2)
     own = clearances_m(job, job.follower(), seed, places, heights)
     print(f"least clearance {1e3 * own.min():.1f} mm")
-    assert own.min() > 0.55 * job.standoff_m
+    assert own.min() > 0.785 * job.standoff_m
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -72,6 +72,14 @@ def test_a_hazard_costs_hardly_more_clearance_than_a_p_loop_loses(family, seed):
     assert shortfall_m(plain.clearance_m, ours.clearance_m) < below_m, scenario
 
 
+@pytest.mark.parametrize("seed", [210212, 200027, 200061, 200042])
+def test_a_flank_counts_from_its_second_sample_on(seed):
+    """Three samples per step up the flank, with its slope unknown, cost 7 to 10 mm."""
+    scenario = draw("flank", seed)
+    ours, plain = play(follower(), scenario), play(PLoop(scenario.interval_ms), scenario)
+    assert shortfall_m(plain.clearance_m, ours.clearance_m) < BELOW_P_M, scenario
+
+
 def test_after_a_jump_of_the_height_the_estimate_begins_anew():
     # heights of two frames were blended here: 5.5 mm
     scenario = draw("height jump", 2250)

@@ -34,6 +34,7 @@ class Gate(Schema):
     kept_height_m = F64(PENDING_HEIGHTS, unit="m", doc="and heights")
     unconfirmed_m = F64(unit="m", doc="innovation held back for a second sample; 0: none")
     withheld_m = F64(unit="m", doc="innovation of a nearer sample that waits for a second one; 0: none")
+    nearer = I64(doc="1: the newest sample was nearer than the models follow; so may the next one be")
     rejected = I64(doc="outliers in a row that did not agree with the one before")
     odd = I64(doc="1: the newest outlier does not agree with the pending ones, which stay")
     slot_likelihood = F64(

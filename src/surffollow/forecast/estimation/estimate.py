@@ -40,7 +40,7 @@ from surffollow.forecast.plant.shadow_axes import (
     reset_effort,
     reset_shadows,
 )
-from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, PAUSE_NS
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.shm.jit import jit, jit_inlined
@@ -193,13 +193,15 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
     steepest = (1.0 + max(-estimate.slope, 0.0)) * travel * (since_accepted_ns * 1e-9 / dt)
+    rises_on = gate.nearer != 0 and innovation > 0.0
+    rise = MAX_SLOPE * steepest if rises_on else steepest
     update_travel(params, gate, travel)
-    enters, width = gate_sample(params, adaptive, innovation, travel, steepest, gap)
+    enters, width = gate_sample(params, adaptive, innovation, travel, steepest, gap, rises_on)
     outside = abs(innovation) > width
     if not enters:
         if adapt and not outside and estimate.samples > 1:
             update_scale(gate, innovation, width)  # frequent ones mean rough ground
-        withhold_sample(gate, innovation, steepest)
+        withhold_sample(gate, innovation, rise, not outside)
         return False
     if outside and gate.pending > estimate.samples:
         restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
@@ -222,7 +224,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     blend_models(adaptive)
     nearer_m = h_m - estimate.height_m
     if nearer_m > INNER_GATE * gate_width(params, gate):  # the models follow too slowly
-        withhold_sample(gate, nearer_m, steepest)
+        withhold_sample(gate, nearer_m, rise, True)
     estimate.slope_power += (1.0 - math.exp(-travel / SLOPE_POWER_LENGTH_M)) * (
         estimate.slope * estimate.slope - estimate.slope_power
     )

@@ -28,7 +28,7 @@ def update_scale(gate, innovation_m, gate_m):
 
 
 @jit
-def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
+def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on):
     """Decide about a sample, from ACCEPT to OUTVOTED; returns the width of the gate, too.
 
     Parameters
@@ -38,6 +38,7 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
     travel_m : float64      distance travelled d since the sample before [m]
     steepest_m : float64    greatest change of the ground since the last accepted sample [m]
     gap : bool              the samples paused before: a step needs no travel
+    rises_on : bool         this sample is nearer, and the one before was nearer than the models follow
 
     Returns
     -------
@@ -54,15 +55,15 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
     width = max(usual, plausible)
     # while no slope is known, samples of nearer ground count on their own
     sparse = (plausible if innovation_m > 0.0 else sparse_m) > usual
-    if not sparse and needs_second_sample(adaptive, innovation_m, width):
+    if not sparse and not rises_on and needs_second_sample(adaptive, innovation_m, width):
         return False, width
     if not abs(innovation_m) > width:  # NaN too: the cycle then begins without knowledge
         return True, width
-    return hold_pending(params, adaptive, innovation_m, travel_m, width, gap), width
+    return hold_pending(params, adaptive, innovation_m, travel_m, width, gap, rises_on), width
 
 
 @jit
-def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
+def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on):
     """Hold an outlier as pending; whether it confirms a step.
 
     `pending_arc_length_m` and `pending_height_m` are sums over the samples that agree.
@@ -74,6 +75,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
     travel_m : float64      distance travelled since the sample before [m]
     gate_m : float64        width of the gate [m]
     gap : bool              the samples paused before: a step needs no travel
+    rises_on : bool         as in `gate_sample`: one sample less is needed
 
     Notes
     -----
@@ -120,7 +122,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap):
     two = late or gate.slot_likelihood < PERMANENT_STEPS
     # in a burst of wrong readings some agree by chance
     by_chance = min(gate.rejected, int(BURST_TAUS * tau_s / max(interval_s, 1e-6)))
-    need = (min(params.step_samples, 2) if two else params.step_samples) + by_chance
+    need = (min(params.step_samples, 2) if two else params.step_samples) + by_chance - rises_on
     # a step away from the tool may be a slot; with a bad start, and at rest, there is no travel
     travelled = gate.pending_travel_m >= params.step_travel_m * gate.slot_likelihood
     stood = estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS
@@ -147,8 +149,17 @@ def needs_second_sample(adaptive, innovation_m, gate_m):
 
 
 @jit
-def withhold_sample(gate, innovation_m, plausible_m):
-    """Note how much nearer a sample is that waits for a second one; 0 where ground cannot rise like that."""
+def withhold_sample(gate, innovation_m, plausible_m, inside):
+    """Note how much nearer a sample is that waits for a second one; 0 where ground cannot rise like that.
+
+    Parameters
+    ----------
+    gate : record of `Gate` (updated)
+    innovation_m : float64  how much nearer it is than the estimate [m]
+    plausible_m : float64   greatest rise of the ground since the last accepted sample [m]
+    inside : bool           it is inside the gate: no outlier
+    """
+    gate.nearer = 1 if inside and innovation_m > 0.0 else 0
     gate.withheld_m = innovation_m if 0.0 < innovation_m < plausible_m else 0.0
 
 
@@ -191,6 +202,7 @@ def accept_sample(params, gate):
         gate.slot_likelihood = 1.0
     gate.pending = gate.rejected = 0
     gate.unconfirmed_m = gate.withheld_m = 0.0
+    gate.nearer = 0
 
 
 @jit
@@ -204,6 +216,7 @@ def register_step(params, gate, t_ns):
     if leaves_slot and gate.step_ns != 0:
         gate.slot_likelihood = 1.0
     gate.travel_since_step_m = 0.0
+    gate.nearer = 1 if gate.pending_innovation_m > 0.0 else 0
     gate.step_m = 0.0 if leaves_slot else gate.pending_innovation_m / gate.pending
     gate.step_ns = t_ns
     gate.pending = gate.rejected = 0
@@ -220,7 +233,7 @@ def initialise_gate(gate):
 @jit
 def reset_gate(gate):
     """Drop pending samples and the last step; scale and likelihood of slots stay."""
-    gate.pending = gate.rejected = 0
+    gate.pending = gate.rejected = gate.nearer = 0
     gate.unconfirmed_m = gate.withheld_m = 0.0
     gate.travel_since_step_m = gate.step_m = 0.0
     gate.step_ns = 0

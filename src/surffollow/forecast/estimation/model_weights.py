@@ -2,7 +2,7 @@
 
 Each model drives a shadow axis (`shadow_axes`). The squared stand-off error of that axis at a sample,
 averaged over a recent and a longer horizon, is the performance index. The variance of the noise is
-subtracted, and penalties for effort, chance and variance are added.
+subtracted, and penalties for effort and chance are added.
 """
 
 import math
