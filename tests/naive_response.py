@@ -38,6 +38,7 @@ class NaiveResponse:
     mean_m: float = 0.0
     repeated_m: float = 0.0
     rose: bool = False
+    far_m: float = 0.1524
 
     def _begin_run(self, z_m: float) -> None:
         self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
@@ -164,9 +165,10 @@ class NaiveResponse:
         """The target, shifted up in a long run or in the test of an ascent, or what a test asks for."""
         if self.phase == RUN:
             return target_m + self.lift_m
+        rise_m = max(min(UNSEEN_RISE * self.standoff_m, self.far_m - self.standoff_m), self.lift_m)
+        highest_m = self.begin_z_m + rise_m
         if self.phase == NONE:
-            highest_m = self.begin_z_m + UNSEEN_RISE * self.standoff_m
             return min(target_m, highest_m) if self.rose else target_m
         if self.rose:
-            return max(target_m + self.lift_m, self.begin_z_m)
+            return min(max(target_m + self.lift_m, self.begin_z_m), highest_m)
         return max(target_m, self.begin_z_m + self.lift_m)

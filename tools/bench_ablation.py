@@ -80,7 +80,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         ("innovation_gate", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 1.0")
     ],
     "settling after a start or a loss": [("estimate", "SETTLING_NS = 60_000_000", "SETTLING_NS = 0")],
-    "clamp of the slope": [("setpoint_blend", "SLOPE_LIMIT = 0.2", "SLOPE_LIMIT = 1e6")],
+    "clamp of the slope": [("setpoint_blend", "SLOPE_LIMIT_RMS = 3.0", "SLOPE_LIMIT_RMS = 1e6")],
     "step taken back in a loss": [
         (
             "setpoint_blend",

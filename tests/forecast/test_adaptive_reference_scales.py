@@ -175,9 +175,13 @@ def conversions_loop(length, power, cycles=400):
         too_close_m=0.0546 * length,
         too_close_exit_m=0.0584 * length,
         plant_tau_s=0.04 * second,
-        plant_v_max_mps=0.2 * length / second,
-        plant_a_max_mps2=2.0 * length / second**2,
-        **scaled_defaults(0.1 * length, 0.04 * second),
+        **(
+            scaled_defaults(0.1 * length, 0.04 * second)
+            | {
+                "plant_v_max_mps": 0.2 * length / second,
+                "plant_a_max_mps2": 2.0 * length / second**2,
+            }
+        ),
     )
     p["scale_m"] *= length
     p["zero_m"] *= length
@@ -229,6 +233,17 @@ def test_time_outs_do_not_shrink_with_the_axis(name):
     """GIVEN a quick axis under a slow sensor THEN its readings are no loss: 1 Hz was never VALID."""
     assert scaled_defaults(0.1, 0.005)[name] == PARAMS[name].default
     assert scaled_defaults(0.1, 0.4)[name] == 8 * PARAMS[name].default
+
+
+@pytest.mark.parametrize(
+    ("scale", "tau_s", "least_mps"), [(100.0, 0.5, 3.0), (50.0, 1.5, 0.4), (0.01, 0.008, 0.2)]
+)
+def test_limits_of_the_axis_that_are_not_told_grow_with_the_job(scale, tau_s, least_mps):
+    """A drone that was told stand-off and τ only touched ground that rose by 2 m/s: 0.2 m/s was assumed."""
+    sensor = {"near_m": 0.05 * scale, "far_m": 0.3 * scale}
+    f = Follower({"plant": {"tau_s": tau_s}, "sensors": [sensor]}, offset_m=0.1 * scale)
+    assert f._params["plant_v_max_mps"][0] >= least_mps
+    assert f._params["plant_a_max_mps2"][0] >= PARAMS["plant_a_max_mps2"].default
 
 
 def test_a_parameter_that_is_given_is_taken_as_it_is_at_every_scale():

@@ -14,11 +14,16 @@ from surffollow.benchmark.hazard_scenarios import FAR_M, NEAR_M, SIGMA_M, STANDO
 from surffollow.benchmark.hazards import PLoop, play
 from surffollow.benchmark.runner import run_method, scene_of, score_run
 from surffollow.benchmark.suite import Cell
+from surffollow.forecast.setpoint.tested_setpoint import UNSEEN_RISE, setpoint_range
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import (
     RESPONSE_FAILED,
     RESPONSE_LIFT,
     RESPONSE_RUN,
 )
+
+from .feeding import default_params
 
 MS = 1_000_000
 TAU_MS = 40.0
@@ -103,6 +108,16 @@ def test_a_range_that_freezes_on_a_rise_does_not_lead_the_tool_away(seed):
     print(f"{heights.min():.3f} to {heights.max():.3f} m, found: {found}")
     assert heights.max() < 5.0 * STANDOFF_M, "it would climb for ever"
     assert heights.min() > 0.7 * STANDOFF_M
+
+
+@pytest.mark.parametrize("phase", [RESPONSE_LIFT, RESPONSE_FAILED])
+@pytest.mark.parametrize(("far_m", "rise_m"), [(0.15, 0.05), (2.0, UNSEEN_RISE * 0.1), (0.101, 0.004)])
+def test_a_tool_that_a_stuck_range_leads_up_stays_where_the_sensor_sees(far_m, rise_m, phase):
+    """It left the window in 0.1 s, and never was VALID again: its setpoint ran away by 6 stand-offs."""
+    params, response = default_params(), zeros(AdaptiveState)[0]["response"]
+    params["range_max_m"] = far_m
+    response["phase"], response["rises"], response["test_z_m"], response["lift_m"] = phase, 1, 1.0, 0.004
+    assert setpoint_range(params, response, 0.1)[1] == pytest.approx(1.0 + rise_m)
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.4])

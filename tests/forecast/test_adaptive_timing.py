@@ -27,14 +27,14 @@ def test_a_demand_waits_for_half_the_interval_of_reports_and_for_no_more_than_th
     assert mean_wait_s(default_params(), controller) == pytest.approx(wait_s)
 
 
-def samples_that_confirm(interval_s: float) -> int:
+def samples_that_confirm(interval_s: float, rises_on: bool = False) -> int:
     """How many agreeing samples 10 mm above the estimate confirm a step toward the tool."""
     a = zeros(AdaptiveState)[0]
     a["prediction"]["interval_s"], a["plant"]["tau_s"] = interval_s, TAU_S
     a["gate"]["slot_likelihood"] = 1.0
     for n in range(1, 10):
         a["estimate"]["sample_ns"] += int(interval_s * 1e9)
-        if hold_pending(default_params(), a, 0.01, 1e-4, 1e-3, False):
+        if hold_pending(default_params(), a, 0.01, 1e-4, 1e-3, False, rises_on):
             return n
     return 0
 
@@ -43,6 +43,11 @@ def test_two_samples_confirm_a_step_when_three_take_longer_than_half_the_time_co
     assert samples_that_confirm(0.004) == default_params()["step_samples"] == 3
     assert samples_that_confirm(0.99 * TAU_S / 6) == 3
     assert samples_that_confirm(1.01 * TAU_S / 6) == 2
+
+
+def test_behind_a_nearer_sample_one_less_confirms_a_step() -> None:
+    assert samples_that_confirm(0.004, rises_on=True) == 2
+    assert samples_that_confirm(1.01 * TAU_S / 6, rises_on=True) == 1
 
 
 def descent_after_50_ms(step_m: float, travel_m: float, arrived: bool = True) -> float:

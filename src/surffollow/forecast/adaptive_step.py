@@ -220,7 +220,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff)
     target = target_of_preview(params, adaptive, target, standoff)
     age = (clock.now_ns - pose_t_ns) * 1e-9 + mean_wait_s(params, controller)
-    target = permitted_setpoint(adaptive, target, tool_z, standoff, age, stuck)
+    target = permitted_setpoint(params, adaptive, target, tool_z, standoff, age, stuck)
     limit_setpoint(params, adaptive, clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):

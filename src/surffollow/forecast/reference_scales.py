@@ -225,28 +225,30 @@ _CONFIGURED = (
     "too_close_m",
     "too_close_exit_m",
     "sensor_latency_ns",
+    "plant_tau_s",
 )
-_PLANT = ("plant_tau_s", "plant_v_max_mps", "plant_a_max_mps2")
+_NOT_LOWERED = ("pose_timeout_ns", "loss_timeout_ns", "plant_v_max_mps", "plant_a_max_mps2")
 
 
 def scaled_defaults(offset_m: float, tau_s: float) -> dict[str, float]:
     """Defaults of the parameters with a dimension for a stand-off and a time constant.
 
-    With scale 1 they are those of `PARAMS`. `pose_timeout_ns` and `loss_timeout_ns` are never below their
-    defaults: the rates of pose reports and sensors do not depend on the axis.
+    With scale 1 they are those of `PARAMS`. Time-outs are never below their defaults: the rates of pose
+    reports and sensors do not depend on the axis. Nor are the limits of the axis: one that is too high costs
+    accuracy, one that is too low costs clearance over rising ground.
     """
     length = math.ldexp(1.0, scale_exponent.py_func(offset_m, STANDOFF_M))
     time = math.ldexp(1.0, scale_exponent.py_func(tau_s, TAU_S))
     found: dict[str, float] = {}
     for name, spec in PARAMS.items():
         unit = Params.field(name).unit
-        if name in _CONFIGURED or name in _PLANT:
+        if name in _CONFIGURED:
             continue
         powers = (0, 1) if unit == "ns" else EXPONENTS[unit]
         if powers == (0, 0):
             continue
         value = spec.default * length ** powers[0] * time ** powers[1]
-        if name in ("pose_timeout_ns", "loss_timeout_ns"):
+        if name in _NOT_LOWERED:
             value = max(value, spec.default)
         found[name] = min(max(value, spec.low), spec.high)
     return found

@@ -23,6 +23,8 @@ class Kinematics(Schema):
     climb_mps = F64(unit="m/s", doc="vertical velocity")
     jump_ns = I64(unit="ns", doc="timestamp of the first report after a jump of the position; 0: none")
     climb_jump_ns = I64(unit="ns", doc="the same of the height")
+    scatter_m = F64(unit="m", doc="usual lateral distance of a report from where the velocity leads")
+    climb_scatter_m = F64(unit="m", doc="the same of the height")
 
 
 class Hold(Schema):

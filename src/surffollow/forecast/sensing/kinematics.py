@@ -3,13 +3,13 @@
 import math
 
 from surffollow.forecast.pose import pose_at
-from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS
+from surffollow.forecast.quantities import APART_M, GATE_SCALES, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS
+from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
-# over which the lateral velocity is taken: noise averages out; reports farther apart show no jump
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
-MAX_JUMP_M = 0.02  # distance between two reports beyond the velocity: more is a jump of the frame
+MAX_JUMP_M = 0.02  # distance beyond the velocity between two reports: what is less is no lateral jump
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
 
@@ -55,7 +55,8 @@ def note_jump(params, kinematics, sense):
 
     A lateral jump disagrees with the velocity and with the way between the two reports before: a change of
     speed agrees with the latter from its second report on. A vertical jump disagrees with the velocity by
-    more than the axis can change its way in that time, 2 · v_max · Δt.
+    more than the axis can change its way in that time, 2 · v_max · Δt. Both are outliers among the usual
+    disagreements: noise of the reports, and of their timestamps, is no jump.
     """
     last = sense.pose_count - 1
     vx, vy, vz, dt = velocity_between(sense, last - 1, last)
@@ -66,8 +67,13 @@ def note_jump(params, kinematics, sense):
         before_x, before_y, _, before_s = velocity_between(sense, last - 2, last - 1)
         if 0.0 < before_s <= PAUSE_NS * 1e-9:
             aside = min(aside, math.hypot(vx - before_x, vy - before_y) * dt)
-    climbed = abs(vz - kinematics.climb_mps) * dt > max(MAX_JUMP_M, 2.0 * params.plant_v_max_mps * dt)
-    if not climbed and aside <= MAX_JUMP_M:
+    up = abs(vz - kinematics.climb_mps) * dt
+    most_aside = max(MAX_JUMP_M, GATE_SCALES * kinematics.scatter_m)
+    most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, GATE_SCALES * kinematics.climb_scatter_m)
+    kinematics.scatter_m = follow_usual(kinematics.scatter_m, min(aside, most_aside))
+    kinematics.climb_scatter_m = follow_usual(kinematics.climb_scatter_m, min(up, most_up))
+    climbed = up > most_up
+    if not climbed and aside <= most_aside:
         return False
     kinematics.jump_ns = sense.pose_t_ns[last & (POSES - 1)]
     if climbed:

@@ -12,6 +12,7 @@ Over a slope, where the range returns to no mean, it is 0.
 
 import math
 
+from surffollow.forecast.quantities import GATE_SCALES
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 
@@ -20,7 +21,6 @@ from surffollow.shm.jit import jit, jit_inlined
 LEVEL, TREND, DECAY = 0.36, 2.4, 10.0
 MEAN, RETURN, CHECK = 1000.0, 30.0, 15.0
 MIN_UNIT_S = 0.16  # in place of shorter intervals, 4 τ: their noise averages out
-GATE_SCALES = 8.0  # in usual innovations
 GAP_INTERVALS = 5.0  # usual intervals, or seconds if that is more: begin at the next range
 
 

@@ -178,12 +178,12 @@ def filter_setpoint(params, adaptive, target_m):
 
 
 @jit_inlined
-def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, age_s, stuck):
+def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, stuck):
     """Setpoint within the range that is permitted [m].
 
     Parameters
     ----------
-    adaptive : record of `AdaptiveState`
+    params, adaptive : records of `Params`, `AdaptiveState`
     target_m : float64    the setpoint [m]
     tool_z_m : float64    height of the tool in the newest pose reported [m]
     standoff_m : float64  desired height of the tool above the ground [m]
@@ -196,7 +196,7 @@ def permitted_setpoint(adaptive, target_m, tool_z_m, standoff_m, age_s, stuck):
     few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     hardly_known = few or estimate.samples < CONFIRMATION_SAMPLES
     no_descent = tool_z_m if hardly_known else -math.inf
-    lowest, highest = setpoint_range(adaptive.response, standoff_m)
+    lowest, highest = setpoint_range(params, adaptive.response, standoff_m)
     # ground that is not seen may rise as steeply as it did before
     unseen = tool_z_m + rise_rate(adaptive) * (adaptive.plant.tau_s + age_s) if stuck else -math.inf
     tested = min(max(target_m, unseen, lowest), highest)

@@ -4,7 +4,6 @@ import math
 
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import (
-    RESPONSE_FAILED,
     RESPONSE_HOLD,
     RESPONSE_LIFT,
     RESPONSE_RUN,
@@ -24,14 +23,16 @@ def setpoint_shift_m(response):
 
 
 @jit
-def setpoint_range(response, standoff_m):
+def setpoint_range(params, response, standoff_m):
     """Lowest and highest setpoint that the test permits; ∓∞: no limit.
 
-    In a test the tool does not descend. One that a range without response led up rises by `UNSEEN_RISE`
-    stand-offs more at most.
+    In a test the tool does not descend. One that a range without response may have led up rises by
+    `UNSEEN_RISE` stand-offs more at most, and no farther than the sensor sees from the stand-off. Over rising
+    ground a good sensor answers when the tool stops there.
 
     Parameters
     ----------
+    params : record of `Params`
     response : record of `Response`
     standoff_m : float64  desired height of the tool above the ground [m]
 
@@ -42,6 +43,7 @@ def setpoint_range(response, standoff_m):
     lowest_m, highest_m = -math.inf, math.inf
     if response.phase == RESPONSE_HOLD or response.phase == RESPONSE_LIFT:
         lowest_m = response.test_z_m + (response.lift_m if response.rises == 0 else 0.0)
-    elif response.phase == RESPONSE_FAILED and response.rises != 0:
-        highest_m = response.test_z_m + UNSEEN_RISE * standoff_m
+    if response.phase != RESPONSE_RUN and response.rises != 0:
+        rise_m = min(UNSEEN_RISE * standoff_m, params.range_max_m - standoff_m)
+        highest_m = response.test_z_m + max(rise_m, response.lift_m)
     return lowest_m, highest_m
