@@ -75,5 +75,5 @@ def test_only_plans_need_punctual_periods():
 def test_a_tool_with_a_stuck_sensor_rises_at_the_rate_of_the_ground():
     """GIVEN a setpoint relative to a pose of before THEN the axis leads by its lag and that age."""
     a, age_s = sensor_in(RESPONSE_FAILED), 0.02
-    setpoint_m = permitted_setpoint(a, 0.0, 0.1, 0.1, age_s, True)
+    setpoint_m = permitted_setpoint(default_params(), a, 0.0, 0.1, 0.1, age_s, True)
     assert setpoint_m == pytest.approx(0.1 + SLOPE_BEFORE * SPEED_MPS * (0.04 + age_s))

@@ -239,8 +239,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     output.demand[2] = limited
     if fold.close == 0 and not stuck and orients and adaptive.plane.count > 0:
         demand_rotation(params, adaptive, sense, output)
-    if controller.period_ns == clock.now_ns or controller.latch_pending != 0:
-        record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))
+    record_own_setpoint(adaptive, tool_z + (limited if params.run == RUN_NORMAL else 0.0))
     if params.run == RUN_DRYRUN:
         mark_dryrun(setpoint, 1)
     elif params.run == RUN_FREEZE:

@@ -64,6 +64,8 @@ class Plant(Schema):
     """Identified axis (`plant_identification`)."""
 
     setpoint_m = F64(N_PERIODS, unit="m", doc="ring of the follower's own setpoints")
+    newest_m = F64(unit="m", doc="newest one, between two periods, too")
+    newest_ns = I64(unit="ns", doc="its time")
     position_m = F64(N_PLANTS, unit="m", doc="axis models of different τ that follow them")
     velocity_mps = F64(N_PLANTS, unit="m/s", doc="their velocity")
     error_m2 = F64(N_PLANTS, unit="m^2", doc="their squared errors against the pose reports")

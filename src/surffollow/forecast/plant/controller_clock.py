@@ -120,6 +120,30 @@ def period_at(controller, t_ns):
 
 
 @jit
+def share_of_next(controller, k, t_ns, newest_ns):
+    """Share by which the setpoint at a time lies between that of period `k` and the next one, 0 to 1.
+
+    A controller whose reports come more often than the periods of a plan takes setpoints between them. It
+    holds each until its next report: half of that interval later on average.
+
+    Parameters
+    ----------
+    controller : record of `Controller`
+    k : int             period in force at that time
+    t_ns : int64
+    newest_ns : int64   time of the newest setpoint, which is next to the newest period
+    """
+    if not 0.0 < controller.interval_ns < PERIOD_S * 1e9 - PERIOD_TOLERANCE_NS:
+        return 0.0
+    begin_ns, end_ns = controller.latch_ns[k & (N_PERIODS - 1)], newest_ns
+    if k < controller.periods - 1:
+        end_ns = controller.latch_ns[(k + 1) & (N_PERIODS - 1)]
+    if end_ns <= begin_ns:
+        return 0.0
+    return min(max((t_ns - 0.5 * controller.interval_ns - begin_ns) / (end_ns - begin_ns), 0.0), 1.0)
+
+
+@jit
 def usual_periods(controller):
     """Usual length of a controller period, in those of a plan, 1 to `MAX_PERIODS`.
 

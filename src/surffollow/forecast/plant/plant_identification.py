@@ -11,7 +11,7 @@ import numpy as np
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, MAX_MODEL_ERROR_M, step_axis
-from surffollow.forecast.plant.controller_clock import period_at
+from surffollow.forecast.plant.controller_clock import period_at, share_of_next
 from surffollow.forecast.plant.shadow_axes import MAX_AXIS_GAP_NS
 from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
 from surffollow.forecast.terrain.preview import suspend_preview
@@ -50,7 +50,12 @@ def reset_axes(params, adaptive, t_ns, z_m):
 @jit
 def own_setpoint(adaptive, t_ns):
     """The follower's own setpoint that is in force at a time [m]."""
-    return adaptive.plant.setpoint_m[period_at(adaptive.controller, t_ns) & (N_PERIODS - 1)]
+    plant, controller = adaptive.plant, adaptive.controller
+    k, next_m = period_at(controller, t_ns), plant.newest_m
+    if k < controller.periods - 1:
+        next_m = plant.setpoint_m[(k + 1) & (N_PERIODS - 1)]
+    held_m = plant.setpoint_m[k & (N_PERIODS - 1)]
+    return held_m + share_of_next(controller, k, t_ns, plant.newest_ns) * (next_m - held_m)
 
 
 @jit
@@ -177,8 +182,11 @@ def update_plant(params, adaptive, sense, adapt):
 
 @jit
 def record_own_setpoint(adaptive, setpoint_m):
-    """Record the follower's own setpoint of the present period."""
-    adaptive.plant.setpoint_m[(adaptive.controller.periods - 1) & (N_PERIODS - 1)] = setpoint_m
+    """Record the follower's own setpoint; it is that of the period that begins, or is still to be latched."""
+    plant, controller, now_ns = adaptive.plant, adaptive.controller, adaptive.clock.now_ns
+    plant.newest_m, plant.newest_ns = setpoint_m, now_ns
+    if controller.period_ns == now_ns or controller.latch_pending != 0:
+        plant.setpoint_m[(controller.periods - 1) & (N_PERIODS - 1)] = setpoint_m
 
 
 @jit
