@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -254,7 +255,7 @@ def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
     check_not_read(out, moves)
     *poses, range_m = read_columns(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))
     fit = fit_mount(np.array(poses).T, range_m)
-    mounts = list((load_calibration(out).mounts or ()) if out.exists() else ())
+    mounts = list((load_calibration(out).mounts or ()) if os.path.exists(out) else ())
     mounts += [IDENTITY] * (channel + 1 - len(mounts))
     mounts[channel] = fit.mount
     about = {

@@ -68,7 +68,7 @@ def durations(summary: dict[str, float]) -> str:
 _WITHOUT_POSE = {"NO_POSE": "no pose yet", "POSE_STALE": "no pose"}
 
 
-def follower_lines(f: dict[str, Any], demand_status: Sequence[str]) -> list[str]:
+def follower_lines(f: dict[str, Any], demand_status: Sequence[str] = ()) -> list[str]:
     """Estimates of the follower, as text; a missing pose counts before the health OK."""
     if "health" not in f:
         return [f"follower {f['mode']}"]
