@@ -40,6 +40,14 @@ def test_numbers_out_of_bounds_are_refused_and_others_taken() -> None:
     assert "no service 'values-none'" in str(done.exception)
 
 
+@pytest.mark.parametrize("words", [("demo", "--seed"), ("simulate", "--seed"), ("simulate", "--noise-seed")])
+def test_a_negative_seed_is_refused_with_its_bounds(words: tuple[str, ...]) -> None:
+    done = CliRunner().invoke(cli, [*words, "-5"])
+    assert done.exit_code == 2
+    assert words[-1] in done.output
+    assert "x>=0" in done.output
+
+
 def test_help_of_every_verb_names_what_an_option_takes() -> None:
     assert "--timeout NUMBER" in CliRunner().invoke(cli, ["stop", "--help"]).output
     assert "<=None" not in CliRunner().invoke(cli, ["replay", "--help"]).output

@@ -45,7 +45,13 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     "--seconds", type=Finite(min=0.0), default=20.0, show_default=True, help="Of motion; 0: to its end."
 )
 @click.option("--surface", default="fy91", show_default=True, help="Ground; the service needs the same.")
-@click.option("--seed", default=91, show_default=True, help="Of the ground; the service needs the same.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=91,
+    show_default=True,
+    help="Of the ground; the service needs the same.",
+)
 @click.option(
     "--grid", callback=LENGTH, default="1 mm", show_default=True, help="Spacing of the ground's heights."
 )
@@ -66,7 +72,7 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 @click.option("--latency", callback=TIME, default="10 ms", show_default=True, help="Of pose reports.")
 @click.option("--sigma", callback=LENGTH, default="0.05 mm", show_default=True, help="Noise of pose reports.")
 @click.option("--turn", is_flag=True, help="Apply rotations, too; count along the tool's axis.")
-@click.option("--noise-seed", default=1, show_default=True, help="Of that noise.")
+@click.option("--noise-seed", type=click.IntRange(0), default=1, show_default=True, help="Of that noise.")
 @click.option(
     "--wait",
     "wait_s",
