@@ -157,8 +157,8 @@ def unit_notes(table: Any) -> list[str]:
         notes.append(f"the distances are {low:.4g} m to {high:.4g} m; is their --unit mm?")
     elif np.isclose(slope, 1e-3, rtol=0.2):
         notes.append(
-            f"the indicated values, {table.indicated[0]:.4g} to {table.indicated[-1]:.4g}, seem to be in mm; a "
-            "driver of distances gives metres: --indicated-unit mm"
+            f"the indicated values, {table.indicated[0]:.4g} to {table.indicated[-1]:.4g}, seem to be in mm; "
+            "a driver of distances gives metres: --indicated-unit mm"
         )
     return notes
 
