@@ -171,6 +171,9 @@ def test_list_names_surfaces_and_methods_without_running() -> None:
     assert result.exit_code == 0
     for name in ("rough-smooth-rough", "iso-d", "fy91", "kalman-ff:oracle", "limit", "hold"):
         assert name in result.output
+    found = json.loads(call("--list", "--json").stdout)
+    assert set(found) == {"surfaces", "methods"}
+    assert ("fy91" in found["surfaces"], "limit" in found["methods"]) == (True, True)
 
 
 def test_number_of_processes_changes_nothing() -> None:

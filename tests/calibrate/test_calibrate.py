@@ -288,7 +288,7 @@ def test_a_channel_without_a_table_keeps_its_own_window_beside_a_wider_one() -> 
         ('{"tables": [{"channel": 0, "indicated": [1, 2, 3], "range_m": [2, 1, 1]}]}', "not monotone"),
         (
             '{"tables": [{"channel": 3, "indicated": [1, 2], "range_m": [1, 2]}]}',
-            r"channels \[3\], the driver has 1",
+            r"channels \[3\], the driver has channels 0 to 0",
         ),
         ('{"mounts": [[0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0, 1]]}', "2 mounts for 1"),
     ],

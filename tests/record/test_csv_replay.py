@@ -133,7 +133,7 @@ def test_times_that_were_printed_with_a_floats_last_bit_are_scored_alike(
 
 def test_a_log_of_micrometres_has_digits_in_the_text() -> None:
     replay = make_replay([0.0, 1.0, 2.0], [1e-4, 1.04e-4, 1.01e-4], [1.05e-4, 1.03e-4, 1e-4])
-    replay = dataclasses.replace(replay, height_m=np.zeros(3))
+    replay = dataclasses.replace(replay, height_m=np.zeros(3), slope=np.zeros(3))
     text = csv_text(summarise("log.csv", replay, plain()))
     assert "0.0000" not in text
     assert f"{math.sqrt((1e-6**2 + 2e-6**2) / 2):.4g}" in text

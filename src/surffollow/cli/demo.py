@@ -17,7 +17,7 @@ def _speed(ctx: click.Context, param: click.Parameter, value: str | None) -> flo
 
 
 @click.command("demo")
-@click.option("--seconds", type=Finite(2.0, 3600.0), default=20.0, show_default=True, help="Of motion.")
+@click.option("--seconds", type=Finite(3.0, 3600.0), default=20.0, show_default=True, help="Of motion.")
 @click.option(
     "--sensors",
     type=click.IntRange(3, 8),

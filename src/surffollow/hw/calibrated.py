@@ -149,7 +149,7 @@ def _described(inner: DriverInfo, calibration: Calibration) -> DriverInfo:
         if {t.channel for t in calibration.tables} - set(range(inner.n_channels)):
             raise ConfigError(
                 f"the calibration has tables of channels {[t.channel for t in calibration.tables]}, the "
-                f"driver has {inner.n_channels} channels; calibrate this driver, or set its channels"
+                f"driver has channels 0 to {inner.n_channels - 1}; calibrate this driver, or set its channels"
             )
         ends = [end for t in calibration.tables for end in (t.range_m[0], t.range_m[-1])]
         every = len(calibration.tables) == inner.n_channels
