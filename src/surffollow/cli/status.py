@@ -64,7 +64,7 @@ def durations(summary: dict[str, float]) -> str:
     return ", ".join(f"{k} {format_ns(summary[k + '_ns'])}" for k in ("p50", "p99", "max"))
 
 
-# a follower without a pose judges nothing
+# a follower without a pose evaluates nothing
 _WITHOUT_POSE = {"NO_POSE": "no pose yet", "POSE_STALE": "no pose"}
 
 

@@ -169,7 +169,7 @@ def _draw_forecast(ax: Any, data: FigureData) -> None:
 def health_lanes(output: NDArray[Any]) -> list[tuple[str, NDArray[np.bool_], str]]:
     """States of health with the samples in which each holds, and colours.
 
-    A follower without a pose judges nothing: its OK is drawn as "no pose".
+    A follower without a pose evaluates nothing: its OK is drawn as "no pose".
     """
     health, ok = output["health"], HEALTH_NAMES.index("OK")
     no_pose = (health == ok) & ((output["status"] & (NO_POSE | POSE_STALE)) != 0)
