@@ -16,6 +16,8 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@# an activated terminal has the kernels that make compiled
+	@echo 'export SURFFOLLOW_CACHE_DIR="$${SURFFOLLOW_CACHE_DIR:-$$VIRTUAL_ENV/kernel-cache}"' >> $(VENV)/bin/activate
 	@touch $@
 
 demo: $(STAMP)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import sys
+from pathlib import Path
 
 import pytest
 
 from running_service import READY_S, begin_command, objects_of, run_command
 from surffollow.apps.demo_figures import table, verdict
+from surffollow.apps.demo_picture import draw_demo
+from surffollow.apps.demo_task import DemoConfig
+from surffollow.errors import FaultError
 
 KEYS = {
     "standoff_rms_m",
@@ -58,6 +64,20 @@ def test_demo_draws_a_picture(result):
     data = (folder / "demo.png").read_bytes()
     assert data[:8] == b"\x89PNG\r\n\x1a\n"
     assert len(data) > 20_000
+
+
+def test_a_disk_without_room_leaves_the_picture_of_before(result, tmp_path, monkeypatch):
+    folder, figures, _ = result
+    target = tmp_path / "demo.png"
+    target.write_bytes(b"before")
+
+    def full(path, data):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(FaultError, match="No space left"):
+        draw_demo(folder, target, DemoConfig(seconds=4.0), figures)
+    assert [p.read_bytes() for p in tmp_path.iterdir()] == [b"before"]
 
 
 def test_demo_leaves_nothing_in_shared_memory(result):

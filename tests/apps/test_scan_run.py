@@ -15,6 +15,8 @@ from click.testing import CliRunner
 
 from running_service import READY_S, WAIT_S, Service, begin_command, config_text, run_command, until
 from surffollow.apps.scan_control import ControlServer, ask
+from surffollow.apps.scan_report import inside_text, title_text
+from surffollow.apps.scan_run import Executed
 from surffollow.cli.main import cli
 from surffollow.errors import NotRunningError
 from surffollow.map import HeightMap
@@ -94,6 +96,18 @@ def test_a_scan_is_run_to_its_end_and_reported(service, folder, tmp_path):
     page = (tmp_path / "run.html").read_text(encoding="utf-8")
     assert "finished: 100 %" in page
     assert page.count("data:image/png;base64,") == 1
+
+
+def test_the_texts_of_a_report_count_times_and_short_times():
+    summary = {"finished": True, "progress": 1.0, "planned_s": 54.4, "way": "follow"}
+    summary |= {"inside_times": 1, "inside_s": 0.03, "inside_least_m": 0.02, "inside_later_part": 0.0}
+    done = Executed(None, {}, np.zeros((0, 2)), np.zeros(0), np.zeros(0), summary)
+    assert title_text(done) == "finished: 100 % of the plan's 54.4 s, way follow; once inside the gap"
+    assert "noticed once, 0.03 s, at least" in inside_text(done)
+    summary["inside_times"] = 2
+    assert title_text(done).endswith("; 2 times inside the gap")
+    summary["inside_times"] = 0
+    assert title_text(done).endswith("way follow")
 
 
 def test_nothing_moves_before_somebody_confirms(service, folder):

@@ -6,6 +6,7 @@ import ctypes
 import os
 import platform
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -43,6 +44,28 @@ def test_a_signal_that_does_not_interrupt_the_wait_for_clients_ends_the_arbiter(
     assert ctypes.CDLL(None).syscall(TGKILL[platform.machine()], pid, others[0], int(number)) == 0
     # THEN it ends, and leaves nothing
     assert arbiter.process.wait(timeout=WAIT_S) == 0
+    assert not list(Path("/dev/shm").glob(f"{arbiter.name}*"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_compilation(make_arbiter, tmp_path, number):
+    # GIVEN an arbiter that compiles its kernels: its cache is empty
+    arbiter = make_arbiter()
+    words = [sys.executable, "-m", "surffollow", "arbiter", "start", "--name", arbiter.name]
+    env = os.environ | {"SURFFOLLOW_CACHE_DIR": str(tmp_path / "cache")}
+    pipe = subprocess.PIPE
+    arbiter.process = subprocess.Popen([*words, str(arbiter.path)], stdout=pipe, text=True, env=env)
+    status = Path(f"/proc/{arbiter.process.pid}/status")
+
+    def catches():  # SIGTERM is the last one
+        caught = int(next(s for s in status.read_text().splitlines() if s.startswith("SigCgt"))[7:], 16)
+        return caught >> (signal.SIGTERM - 1) & 1
+
+    until(catches, "its handlers of signals")
+    # WHEN a signal comes, THEN it ends before it is ready, and leaves nothing
+    arbiter.process.send_signal(number)
+    out, _ = arbiter.process.communicate(timeout=WAIT_S)
+    assert (arbiter.process.returncode, out) == (0, "")
     assert not list(Path("/dev/shm").glob(f"{arbiter.name}*"))
 
 

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +15,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from running_service import WAIT_S, until
 from surffollow.benchmark import cell_runs, runner
 from surffollow.benchmark.cell_runs import run_cells
 from surffollow.benchmark.methods import all_methods, check_methods
@@ -73,6 +78,32 @@ def test_what_two_cells_share_is_run_once(monkeypatch: pytest.MonkeyPatch) -> No
     assert sorted(done) == [("limit", 0.0, 0.04), ("p", 0.0, 0.04), ("p", 0.0, 0.06), ("p", 0.05, 0.04)]
     assert [r.row() for r in together] == [r.row() for part in alone for r in part]
     assert [r.cell for r in together] == [cell for cell in cells for _ in range(2)]
+
+
+def test_ctrl_c_ends_the_running_jobs_and_drops_the_others() -> None:
+    # GIVEN two processes with jobs that take for ever, in a process group of their own
+    code = """
+import time
+from surffollow.benchmark.cell_runs import in_parallel
+if __name__ == "__main__":
+    for _ in in_parallel(time.sleep, [1e6] * 50, 2, None):
+        pass
+"""
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], stderr=pipe, start_new_session=True) as child:
+        children = Path(f"/proc/{child.pid}/task/{child.pid}/children")
+        try:
+            workers = until(
+                lambda: (c := children.read_text().split()) and len(c) >= 3 and c, "its processes"
+            )
+            # WHEN the terminal interrupts the group
+            os.killpg(child.pid, signal.SIGINT)
+            # THEN all end at once
+            _, errors = child.communicate(timeout=WAIT_S)
+        finally:
+            child.kill()
+    assert b"KeyboardInterrupt" in errors
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), "the end of its processes")
 
 
 def test_files_of_one_stem_are_distinguished_and_nothing_runs_twice(hill: str, tmp_path: Path) -> None:
@@ -140,6 +171,9 @@ def test_list_names_surfaces_and_methods_without_running() -> None:
     assert result.exit_code == 0
     for name in ("rough-smooth-rough", "iso-d", "fy91", "kalman-ff:oracle", "limit", "hold"):
         assert name in result.output
+    found = json.loads(call("--list", "--json").stdout)
+    assert set(found) == {"surfaces", "methods"}
+    assert ("fy91" in found["surfaces"], "limit" in found["methods"]) == (True, True)
 
 
 def test_number_of_processes_changes_nothing() -> None:

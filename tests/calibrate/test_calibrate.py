@@ -16,16 +16,17 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 from click.testing import CliRunner, Result
 
 from bench_calibrate import latency_error_s, measure, range_error_m
+from running_service import until
 from surffollow.apps.fit_latency import fit_latency
 from surffollow.apps.fit_mount import beam_of, fit_mount
 from surffollow.apps.fit_range import fit_range
 from surffollow.cli.calibrate import calibrate_group
 from surffollow.errors import ConfigError
-from surffollow.hw.calibrated import CalibratedDriver, Linearizer, linearize, tables_of
+from surffollow.hw.calibrated import NOTED_RUN, CalibratedDriver, Linearizer, linearize, tables_of
 from surffollow.hw.calibration import Calibration, RangeTable, load_calibration, save_calibration
 from surffollow.hw.contract import check_driver
-from surffollow.hw.driver import ConversionQueue
-from surffollow.hw.ranges import metre_info
+from surffollow.hw.driver import ConversionQueue, notes_of
+from surffollow.hw.ranges import metre_info, pack_range
 from surffollow.hw.registry import make_driver
 from surffollow.hw.replayed import save_conversions
 from surffollow.shm.conversion import FLAG_INVALID, conversion_counts, conversion_flags, pack_conversion
@@ -209,6 +210,60 @@ def test_a_driver_with_a_calibration_delivers_linear_distances_latency_and_keeps
     assert len(check_driver(lambda: make_driver(settings, "x"))) == 4
 
 
+def test_readings_outside_the_table_are_noted_with_its_ends(tmp_path: Path) -> None:
+    # GIVEN a table of millimetres before a driver that gives metres
+    table = RangeTable(0, (50.0, 150.0), (0.05, 0.15))
+    save_calibration(tmp_path / "laser.json", Calibration(tables=(table,)))
+    info = metre_info("laser", 0.02, 0.2)
+    words = np.array([pack_range(info, 0, 0.1)] * NOTED_RUN)
+    save_conversions(tmp_path / "ranges.npz", np.arange(NOTED_RUN) * MS, words, info)
+    settings = {"kind": "replay", "file": str(tmp_path / "ranges.npz")}
+    driver = make_driver(settings | {"calibration": str(tmp_path / "laser.json")}, "x")
+    assert notes_of(driver) == []
+    # WHEN it runs, THEN a note says why there is no measurement
+    driver.start(ConversionQueue())
+    try:
+        (note,) = until(lambda: notes_of(driver), "a note")
+    finally:
+        driver.stop()
+    assert "0.1 is not from 50 to 150" in note
+    assert "--indicated-unit" in note
+
+
+def test_one_reading_inside_the_table_ends_the_run_outside() -> None:
+    inner = metre_info("laser", 0.02, 0.2)
+    relay = zeros(Linearizer)
+    relay["scale"], relay["zero"], relay["quantum_m"] = inner.scale_m, inner.zero_m, 1e-6
+    indicated, range_m, relay["rows"] = tables_of(
+        Calibration(tables=(RangeTable(0, (0.05, 0.15), (0.1, 0.9)),)), inner
+    )
+    for value, count in ((0.18, 1), (0.03, 2), (0.1, 0), (0.18, 1)):
+        linearize(relay, indicated, range_m, pack_range(inner, 0, value))
+        assert relay[0]["outside"][0] == count
+
+
+@pytest.mark.parametrize(
+    ("words", "note", "first"),
+    [
+        ((), "50 m to 152 m; is their --unit", 50.0),
+        (("--unit", "mm"), "--indicated-unit mm", 50.0),
+        (("--unit", "mm", "--indicated-unit", "mm"), "", 0.05),
+    ],
+)
+def test_pairs_in_millimetres_are_noted_or_converted(
+    tmp_path: Path, words: tuple[str, ...], note: str, first: float
+) -> None:
+    rows = "".join(f"{v},{1.02 * v - 1}\n" for v in range(50, 151, 10))
+    (tmp_path / "pairs.csv").write_text(f"indicated,true\n{rows}")
+    out = tmp_path / "laser.json"
+    done = run("range", tmp_path / "pairs.csv", *words, "--out", out, "--json", "--plot", tmp_path / "a.svg")
+    notes = json.loads(done.output)["notes"]
+    assert len(notes) == bool(note)
+    assert note in "".join(notes)
+    assert load_calibration(out).tables[0].indicated[0] == pytest.approx(first)
+    assert ("indicated [m]" if first < 1.0 else "indicated [m or V]") in (tmp_path / "a.svg").read_text()
+
+
 def test_a_channel_without_a_table_keeps_its_own_window_beside_a_wider_one() -> None:
     inner = metre_info("two lasers", 0.05, 0.15, n_channels=2)
     table = RangeTable(0, (0.05, 0.15), (0.1, 0.9))
@@ -233,7 +288,7 @@ def test_a_channel_without_a_table_keeps_its_own_window_beside_a_wider_one() -> 
         ('{"tables": [{"channel": 0, "indicated": [1, 2, 3], "range_m": [2, 1, 1]}]}', "not monotone"),
         (
             '{"tables": [{"channel": 3, "indicated": [1, 2], "range_m": [1, 2]}]}',
-            r"channels \[3\], the driver has 1",
+            r"channels \[3\], the driver has channels 0 to 0",
         ),
         ('{"mounts": [[0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0, 1]]}', "2 mounts for 1"),
     ],

@@ -35,9 +35,17 @@ def test_a_number_that_is_none_is_refused(words: tuple[str, ...], value: str) ->
 
 
 def test_numbers_out_of_bounds_are_refused_and_others_taken() -> None:
-    assert CliRunner().invoke(cli, ["demo", "--seconds", "1.5"]).exit_code == 2
+    assert CliRunner().invoke(cli, ["demo", "--seconds", "2"]).exit_code == 2
     done = CliRunner().invoke(cli, ["stop", "--name", "values-none", "--timeout", "1e1"])
     assert "no service 'values-none'" in str(done.exception)
+
+
+@pytest.mark.parametrize("words", [("demo", "--seed"), ("simulate", "--seed"), ("simulate", "--noise-seed")])
+def test_a_negative_seed_is_refused_with_its_bounds(words: tuple[str, ...]) -> None:
+    done = CliRunner().invoke(cli, [*words, "-5"])
+    assert done.exit_code == 2
+    assert words[-1] in done.output
+    assert "x>=0" in done.output
 
 
 def test_help_of_every_verb_names_what_an_option_takes() -> None:

@@ -154,3 +154,10 @@ def test_two_makers_of_one_ground_get_the_same_heights(kind: str) -> None:
 def test_unknown_ground_is_refused_with_the_known_ones() -> None:
     with pytest.raises(ConfigError, match="fy91"):
         world_surface("moon")
+
+
+@pytest.mark.parametrize("surface", ["fy91", "flat", "iso-c"])
+@pytest.mark.parametrize("seed", [-5, 2**63])
+def test_a_seed_outside_its_bounds_is_refused(surface: str, seed: int) -> None:
+    with pytest.raises(ConfigError, match=r"seed of the ground is .*; expected a whole number from 0"):
+        WorldConfig(surface=surface, seed=seed).make()

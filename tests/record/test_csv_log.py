@@ -11,6 +11,7 @@ import pytest
 from csv_logs import EXAMPLES, HEADER, PLAIN, log_of, plain
 from surffollow.errors import UsageError
 from surffollow.record.columns import load_columns, parse_columns
+from surffollow.record.csv_log import read_csv
 from surffollow.record.csv_replay import target_points
 
 DEPTH: dict[str, object] = {"column": "d", "unit": "cm", "min": "5 cm", "max": "10 m", "kind": "depth"}
@@ -62,18 +63,39 @@ def test_spaces_blank_lines_quotes_and_a_byte_order_mark_are_read(tmp_path: Path
     ("text", "message"),
     [
         ("t,d,n,e,u,roll,pitch\n", r"log\.csv has no column 'yaw'; it has t, d, n, e, u, roll, pitch"),
-        ("", r"log\.csv has no column 't'; it has none"),
+        ("", r"log\.csv is empty; expected a line of column names"),
+        (HEADER.replace(",", ";") + "1;2;0;0;0;0;0;0\n", "separated by semicolons; save it with commas"),
+        (HEADER.replace(",", "\t") + "1\t2\t0\t0\t0\t0\t0\t0\n", "separated by tabs; save it with commas"),
+        ("logger 7\n2026\n" + HEADER, "column names are in line 3; remove the lines above"),
+        ("\0" * 100_000, r"log\.csv is no text in UTF-8"),
+        ("n" * 100_000, r"it has n{200}…; change the column file"),
+        (HEADER + "1," + "x" * 100_000 + ",0,0,0,0,0,0\n", r"line 2, column 'd': 'x{200}…' is not"),
         (HEADER + "1,2,0,0,0,0,0,0\n2,x,0,0,0,0,0,0\n", r"log\.csv, line 3, column 'd': 'x' is not"),
         (HEADER + "1,2,0,0,0,0\n", r"log\.csv, line 2, column 'pitch': '' is not"),
         (HEADER + "1,2,inf,0,0,0,0,0\n", r"line 2, column 'n': 'inf' is not"),
         (HEADER + "nan,2,0,0,0,0,0,0\n", r"line 2, column 't': 'nan' is not"),
-        (HEADER + "2,2,0,0,0,0,0,0\n1,2,0,0,0,0,0,0\n", r"time goes back in row 2"),
+        (HEADER + "2,2,0,0,0,0,0,0\n1,2,0,0,0,0,0,0\n", r"log\.csv, line 3, column 't': time goes back"),
+        (HEADER + "\n2,2,0,0,0,0,0,0\n\n1,2,0,0,0,0,0,0\n", r"line 5, column 't': time goes back"),
+        (HEADER + "0,2,0,0,0,0,0,0\n1e15,2,0,0,0,0,0,0\n", r"line 3, column 't': more than 1e\+09 s"),
     ],
 )
 def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message) as e:
         log_of(tmp_path, text)
     assert e.value.exit_code == 2
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
+def test_a_log_in_another_encoding_is_to_be_saved_as_utf_8(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "log.csv").write_bytes((HEADER + "1,2,0,0,0,0,0,0,ü\n").encode(encoding))
+    with pytest.raises(UsageError, match="save it as UTF-8"):
+        read_csv(tmp_path / "log.csv", plain())
+
+
+def test_a_recording_that_is_named_as_a_log_is_told(tmp_path: Path, recording_bytes: bytes) -> None:
+    (tmp_path / "log.csv").write_bytes(recording_bytes)
+    with pytest.raises(UsageError, match=r"name ending in \.mcap"):
+        read_csv(tmp_path / "log.csv", plain())
 
 
 @pytest.mark.parametrize(

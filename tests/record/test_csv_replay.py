@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import math
 import os
@@ -14,12 +15,20 @@ import pytest
 from click.testing import CliRunner
 
 from csv_logs import EXAMPLES, HEADER, ROOT, log_of, plain
+from surffollow.cli.csv_replay import csv_text
 from surffollow.cli.replay import replay_command
 from surffollow.errors import UsageError
 from surffollow.map import HeightMap
 from surffollow.record.columns import Columns, load_columns
 from surffollow.record.csv_log import CsvLog, read_csv
-from surffollow.record.csv_replay import CsvReplay, follow_notes, make_follower, run_csv, write_rows
+from surffollow.record.csv_replay import (
+    ROWS_PER_REPORT,
+    CsvReplay,
+    follow_notes,
+    make_follower,
+    run_csv,
+    write_rows,
+)
 from surffollow.record.forecast_scores import score_forecast, summarise
 
 DATA = Path(os.environ.get("SURFFOLLOW_DATA", ROOT.parent / "shared" / "data"))
@@ -120,6 +129,22 @@ def test_times_that_were_printed_with_a_floats_last_bit_are_scored_alike(
     [row] = score_forecast(run_csv(log := log_of(tmp_path, HEADER + times, columns), columns), columns)
     assert log.t_s.size == 40
     assert row["n"] == 30
+
+
+def test_a_log_of_micrometres_has_digits_in_the_text() -> None:
+    replay = make_replay([0.0, 1.0, 2.0], [1e-4, 1.04e-4, 1.01e-4], [1.05e-4, 1.03e-4, 1e-4])
+    replay = dataclasses.replace(replay, height_m=np.zeros(3), slope=np.zeros(3))
+    text = csv_text(summarise("log.csv", replay, plain()))
+    assert "0.0000" not in text
+    assert f"{math.sqrt((1e-6**2 + 2e-6**2) / 2):.4g}" in text
+
+
+def test_the_progress_of_a_long_log_is_told(tmp_path: Path) -> None:
+    columns, n = plain(), 3 * ROWS_PER_REPORT
+    rows = "".join(f"{k},20,0,0,0,0,0,0\n" for k in range(n))
+    told: list[float] = []
+    run_csv(log_of(tmp_path, HEADER + rows, columns), columns, "paper", told.append)
+    assert told == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0])
 
 
 def test_start_and_end_choose_rows_and_an_empty_choice_is_reported(tmp_path: Path) -> None:

@@ -202,11 +202,12 @@ class FullDisk(io.BytesIO):
     """A file that takes only so many bytes."""
 
     room = 300_000
+    error = errno.ENOSPC
 
     def write(self, data: bytes) -> int:
         n = min(len(data), self.room - self.tell())
         if n == 0:
-            raise OSError(errno.ENOSPC, "No space left on device")
+            raise OSError(self.error, os.strerror(self.error))
         return super().write(data[:n])
 
     def close(self) -> None:
@@ -214,8 +215,19 @@ class FullDisk(io.BytesIO):
         super().close()
 
 
-def test_a_full_disk_is_reported_and_the_file_stays_readable_up_to_there(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (errno.ENOSPC, "the disk is full.*free some space"),
+        (errno.EDQUOT, "the disk is full.*free some space"),
+        (errno.EFBIG, r"no file may be larger here.*ulimit -f.*--rotate-size"),
+    ],
+)
+def test_a_full_disk_is_reported_and_the_file_stays_readable_up_to_there(
+    tmp_path: Path, error: int, says: str
+) -> None:
     disk = FullDisk()
+    disk.error = error
     synthetic_log = SyntheticLog()
     recorder = Recorder(synthetic_log, RecordingWriter(tmp_path / "a.mcap", stream=disk))
 
@@ -224,7 +236,7 @@ def test_a_full_disk_is_reported_and_the_file_stays_readable_up_to_there(tmp_pat
             synthetic_log.run(100)
             recorder.poll()
 
-    with pytest.raises(FaultError, match=r"a\.mcap ends after \d+ bytes: the disk is full"):
+    with pytest.raises(FaultError, match=rf"a\.mcap ends after \d+ bytes: {says}"):
         record_on()
     (tmp_path / "a.mcap").write_bytes(disk.kept)
     report = replay_file(tmp_path / "a.mcap")

@@ -11,11 +11,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
+from surffollow.cli.replay import report_text
 from surffollow.errors import RecordingError
 from surffollow.forecast.journal import CYCLE, PARAMS_WORDS, SNAPSHOT, entry_kind, entry_words
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
 from surffollow.record.recording_writer import RecordingWriter
+from surffollow.record.recover import recover
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.shm.layout_follow import Params
@@ -107,6 +109,52 @@ def test_a_missing_message_is_reported(make_recording: Callable[..., Path]) -> N
     assert not report.identical
     assert not report.complete
     assert "missing" in report.damage
+
+
+def test_behind_a_damaged_chunk_the_replay_goes_on_at_the_next_snapshot(
+    tmp_path: Path, make_recording: Callable[..., Path]
+) -> None:
+    data = bytearray(make_recording(cycles=6000).read_bytes())
+    data[len(data) // 2] ^= 1
+    (tmp_path / "bad.mcap").write_bytes(data)
+    recovered = recover(tmp_path / "bad.mcap")
+    report, again = replay_file(tmp_path / "bad.mcap"), replay_file(recovered.file)
+    for r in (report, again):
+        assert (r.identical, r.complete, r.differing, r.segments) == (False, False, 0, 2)
+        assert r.cycles + r.cycles_not_replayed == 6000
+        # a chunk holds some 450 cycles, and a snapshot comes every 1000
+        assert 4000 <= r.cycles < 6000
+    assert report.cycles == again.cycles
+    assert 0 < recovered.cycles - report.cycles < 1000
+    text = report_text("bad.mcap", report)
+    assert f"{report.cycles_not_replayed} cycles not replayed" in text
+    assert "missing" in text
+
+
+def test_cycles_without_a_snapshot_behind_the_damage_are_counted(make_recording: Callable[..., Path]) -> None:
+    path = make_recording(cycles=900)
+    with RecordingReader(path) as reader:
+        batches = list(reader.batches())
+    out = path.with_name("gap.mcap")
+    with RecordingWriter(out, force=True) as writer:
+        for b in batches[:2] + batches[3:]:
+            writer.add_batch(b[0], b[1], b[2], b[3], np.frombuffer(bytes(b.words), np.int64), 0, 0)
+        writer.finish({"cycles": "900"})
+    report = replay_file(out)
+    assert report.cycles == sum(b.cycles for b in batches[:2])
+    assert report.cycles + report.cycles_not_replayed == 900
+
+
+def test_behind_a_word_that_begins_no_entry_the_replay_goes_on_at_the_next_snapshot(
+    make_recording: Callable[..., Path],
+) -> None:
+    def change(batches: list[np.ndarray]) -> None:
+        entries(batches, CYCLE)[300][0] = 0
+
+    report = replay_file(rewrite(make_recording(cycles=6000), change))
+    assert "begins no entry" in report.damage
+    assert report.cycles + report.cycles_not_replayed == 6000
+    assert (report.segments, report.differing) == (2, 0)
 
 
 @pytest.mark.parametrize("name", ["sensor_readings", "ee_readings", "range_size", "n_channels", "mode"])

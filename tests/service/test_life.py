@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from running_service import READY_S, WAIT_S, Service, objects_of, until
+from running_service import READY_S, WAIT_S, Service, drive, objects_of, run_command, until
 from surffollow.cli.service import running_pid
 from surffollow.client import attach
 from surffollow.errors import (
@@ -42,6 +42,29 @@ def test_start_prints_ready_with_the_pid_and_status_knows_it(service: Service) -
     assert status["params"]["offset_m"] == 0.1
     text = service.run("status").stdout
     assert f"service {service.name}: ready, pid {service.pid}" in text
+
+
+def test_status_tells_that_there_is_no_map_and_a_command_lays_one(service: Service) -> None:
+    # GIVEN a service that nobody told a region, and samples
+    with service.attach() as client:
+        drive(client, lambda: client.status()["map"]["applied"] > 0, what="a sample")
+        assert client.status()["map"]["state"] == "no_map"
+        text = service.run("status").stdout
+        assert "map      none" in text
+        assert f"surffollow map reset X_MIN Y_MIN X_MAX Y_MAX --name {service.name}" in text
+    # WHEN the command lays the map
+    words = ["0", "0", "100mm", "0.1", "--name", service.name]
+    done = run_command([service.python, "-m", "surffollow", "map", "reset", *words])
+    # THEN samples get into it, and the status counts them
+    assert done.returncode == 0, done.stderr
+    with service.attach() as client:
+        facts = drive(client, lambda: (m := client.status()["map"])["taken"] > 0 and m, what="a sample in it")
+    assert (facts["state"], facts["nx"] > 10) == ("ready", True)
+    assert "map      ready, " in service.run("status").stdout
+
+
+def test_a_follower_without_poses_is_not_told_as_ok(own_service: Service) -> None:
+    assert "follower adaptive, no pose yet; " in own_service.run("status").stdout
 
 
 def test_a_second_service_of_the_same_name_is_refused_with_the_pid_of_the_first(service: Service) -> None:

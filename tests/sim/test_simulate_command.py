@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from running_service import until
+from running_service import WAIT_S, until
 from surffollow.cli.simulate import simulate_command
 from surffollow.errors import ConfigError, NotRunningError
 from surffollow.sim.robot_motion import TRACE_COLUMNS
@@ -76,14 +76,23 @@ def test_robot_prints_one_json_object_and_writes_its_trace(tmp_path: Path) -> No
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_robot_ends_cleanly_when_asked_and_still_prints_its_summary(number: signal.Signals) -> None:
     process = command("--seconds", "600")
-    while not os.path.exists(f"/dev/shm/{NAME}.world"):
-        assert process.poll() is None
-        os.sched_yield()
+    until(lambda: robot_time_ns(process), "a robot")
     process.send_signal(number)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert "finished" in out
     assert "False" in out
+    assert not os.path.exists(f"/dev/shm/{NAME}.world")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_wait_for_a_service(number: signal.Signals) -> None:
+    words = ["simulate", *SMALL, "--wait", str(4 * WAIT_S)]
+    process = subprocess.Popen([sys.executable, "-m", "surffollow", *words], stderr=subprocess.PIPE)
+    until(lambda: os.path.exists(f"/dev/shm/{NAME}.world"), "the wait")
+    process.send_signal(number)
+    process.communicate(timeout=WAIT_S)
+    assert process.returncode == 1
     assert not os.path.exists(f"/dev/shm/{NAME}.world")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from surffollow.apps.demo_task import DemoConfig
 from surffollow.errors import FaultError, UsageError
+from surffollow.map.formats.atomic_file import replacing
 from surffollow.sim.world_surface import world_surface
 
 _NO_MATPLOTLIB = "drawing needs matplotlib: pip install 'surffollow[plot]', or use --json without --picture"
@@ -54,7 +56,8 @@ def draw_demo(folder: Path, path: Path, config: DemoConfig, result: dict[str, An
 
     Raises
     ------
-    FaultError  matplotlib is missing, or the picture cannot be written
+    FaultError  matplotlib is missing
+    MapFileError  the picture cannot be written; a picture of before stays
     """
     try:
         import matplotlib
@@ -82,12 +85,11 @@ def draw_demo(folder: Path, path: Path, config: DemoConfig, result: dict[str, An
         if more:
             bottom.set_xlabel("")
             _draw_angle(more[0], trace, result)
-        try:
-            figure.savefig(path, dpi=100)
-        except OSError as e:
-            raise FaultError(f"cannot write picture {path}: {e.strerror}") from None
-        finally:
-            plt.close(figure)
+        drawn = BytesIO()  # a disk without room is told when all of the picture is there
+        figure.savefig(drawn, format=path.suffix[1:].lower(), dpi=100)
+        plt.close(figure)
+    with replacing(path) as temporary:
+        temporary.write_bytes(drawn.getbuffer())
     return path
 
 

@@ -53,7 +53,7 @@ def fit_range(indicated: NDArray[np.float64], range_m: NDArray[np.float64], chan
 
     Parameters
     ----------
-    indicated : (n,) what the sensor gave, volts or metres; pairs of equal values are averaged
+    indicated : (n,) what the driver gives without a calibration, V or m; pairs of equal values are averaged
     range_m : (n,) true distances [m]
     channel : of the sensor
 

@@ -37,7 +37,7 @@ def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid |
     scene.plot(
         done.trace["real_x_m"][moved], done.trace["real_y_m"][moved], color="red", lw=0.9, label="real tip"
     )
-    scene.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=_title(done))
+    scene.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=title_text(done))
     scene.legend(fontsize=8, loc="upper right")
     ranges, correction, height = (figure.add_subplot(grid[k, 1]) for k in range(3))
     when, distance = done.ranges_m[:, 0], done.ranges_m[:, 1]
@@ -60,12 +60,16 @@ def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid |
     save_figure(figure, path)
 
 
-def _title(done: Executed) -> str:
+def title_text(done: Executed) -> str:
+    """How the run ended, how far it came, and how often it was inside the gap."""
     s = done.summary
     state = "finished" if s["finished"] else "aborted" if s["aborted"] else "not finished"
-    if s["inside_times"]:
-        state += f", inside the gap {s['inside_times']} times"
-    return f"{state}: {100 * s['progress']:.0f} % of {s['planned_s']:.1f} s, way {s['way']}"
+    text = f"{state}: {100 * s['progress']:.0f} % of the plan's {s['planned_s']:.3g} s, way {s['way']}"
+    return f"{text}; {_times(s['inside_times'])} inside the gap" if s["inside_times"] else text
+
+
+def _times(n: int) -> str:
+    return "once" if n == 1 else f"{n} times"
 
 
 def inside_text(done: Executed) -> str:
@@ -78,8 +82,9 @@ def inside_text(done: Executed) -> str:
         return f"by the readings no control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap"
     least = "" if s["inside_least_m"] is None else f", at least {1e3 * s['inside_least_m']:.1f} mm away"
     return (
-        f"a control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap: noticed {s['inside_times']} "
-        f"times, {s['inside_s']:.1f} s{least}; {100 * later:.1f} % of the samples by all that was measured"
+        f"a control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap: noticed "
+        f"{_times(s['inside_times'])}, {s['inside_s']:.3g} s{least}; {100 * later:.1f} % of the "
+        "samples by all that was measured"
     )
 
 
@@ -96,7 +101,7 @@ def write_run_report(
     ground : TerrainGrid     the map of the plan; None: no relief
     """
     s = done.summary
-    page = Page("Executed scan", _title(done), bool(s["finished"]))
+    page = Page("Executed scan", title_text(done), bool(s["finished"]))
     page.picture(lambda p: draw_run(p, done, ground), "path, stand-off, correction and height")
     page.section("Run")
     page.facts(s)

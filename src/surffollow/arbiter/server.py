@@ -32,6 +32,10 @@ _SYS_FUTEX_WAITV, _ENOSYS = 449, 38
 COUNTER_BITS = 28  # of a token's low half: grants of one resource in one epoch
 
 
+class _EndedEarly(BaseException):
+    """A signal to end came while kernels were being compiled; nothing in between may catch it."""
+
+
 class Server:
     """One arbiter; `run` returns when a signal asks it to end."""
 
@@ -41,6 +45,7 @@ class Server:
         self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._own: NameLock | None = None
         self._error = ""
+        self._compiling = False
         self._blocks: list[CommandBlock] = []
         self.board: Any = None
         try:
@@ -106,14 +111,20 @@ class Server:
     def run(self, on_ready: Callable[[], None] | None = None) -> None:
         """Start the loop, announce READY, welcome clients until asked to stop, end cleanly."""
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGTERM, signal.SIGINT):
-                signal.signal(number, lambda *_: None)
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, lambda *_: self._on_signal())
             # a handler of Python's runs between two bytecodes: a signal just before a wait would not end it
             signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False)
-        self._start_resources()
-        run_rounds(self.mem, 0)  # compiles, or loads what was compiled
-        self._wake_loop()
         thread = threading.Thread(target=self._loop_thread, name="arbiter", daemon=True)
+        try:
+            self._compiling = True
+            self._start_resources()
+            run_rounds(self.mem, 0)  # compiles, or loads what was compiled
+            self._compiling = False
+        except _EndedEarly:
+            self._end(thread)
+            return
+        self._wake_loop()
         thread.start()
         try:
             self.board.set_state(al.STATE_READY)
@@ -124,6 +135,12 @@ class Server:
                 raise ServiceError(f"the arbiter's loop failed: {self._error}")
         finally:
             self._end(thread)
+
+    def _on_signal(self) -> None:
+        """Leave a compilation at once; otherwise the wake-up descriptor ends the wait for clients."""
+        if self._compiling:
+            self._compiling = False
+            raise _EndedEarly
 
     def _loop_thread(self) -> None:
         try:
@@ -148,7 +165,8 @@ class Server:
         self._connections.release_clients(thread)
         store_release(int(self.mem.ctx.ctypes.data) + 8 * m.STOP, 1)
         self._wake_loop()
-        thread.join(2.0)
+        if thread.ident is not None:  # it was started
+            thread.join(2.0)
         if thread.is_alive():
             os._exit(1)  # its memory must not go away under it
         self._remove_objects()

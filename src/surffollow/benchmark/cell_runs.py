@@ -6,9 +6,10 @@ No task depends on another or on the order of execution, so the number of proces
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from multiprocessing import active_children, get_context
 from typing import Any
 
 import numpy as np
@@ -46,13 +47,31 @@ def in_parallel(
             if progress:
                 progress(done, len(jobs))
         return
+    others = set(active_children())
     # spawn: a forked child would inherit threads and locks of the embedding program
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(work, job) for job in jobs]):
-            yield future.result()
-            done += 1
-            if progress:
-                progress(done, len(jobs))
+        try:
+            for future in as_completed(_submitted(pool, work, jobs)):
+                yield future.result()
+                done += 1
+                if progress:
+                    progress(done, len(jobs))
+        except BaseException:
+            # the pool would first finish every job: without its processes it fails them at once
+            for child in set(active_children()) - others:
+                child.terminate()
+            raise
+
+
+def _submitted(
+    pool: ProcessPoolExecutor, work: Callable[[Any], Any], jobs: Sequence[Any]
+) -> list[Future[Any]]:
+    """Futures of the jobs; a Ctrl-C in the terminal does not reach their processes, the parent ends them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        return [pool.submit(work, job) for job in jobs]
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def methods_in(cell: Cell, methods: Sequence[str]) -> list[str]:

@@ -58,9 +58,9 @@ class Outcome:
     results: list[Result] = field(default_factory=list)
 
 
-def listing() -> list[str]:
+def listing() -> dict[str, list[str]]:
     """Return the surfaces and methods that this installation has."""
-    return ["surfaces: " + ", ".join(surface_names()), "methods: " + ", ".join(all_methods())]
+    return {"surfaces": list(surface_names()), "methods": list(all_methods())}
 
 
 def run(request: Request, progress: Callable[[str, int, int], None] | None = None) -> Outcome:

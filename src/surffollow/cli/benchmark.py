@@ -102,7 +102,9 @@ def benchmark_command(
     from surffollow.benchmark import evaluation
 
     if only_list:
-        click.echo("\n".join(evaluation.listing()))
+        found = evaluation.listing()
+        texts = [f"{what}: {', '.join(names)}" for what, names in found.items()]
+        click.echo(json.dumps(found) if as_json else "\n".join(texts))
         return
     request = evaluation.Request(
         surfaces=list(csvs),

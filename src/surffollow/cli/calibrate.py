@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,11 @@ def print_result(as_json: bool, found: dict[str, Any], text: str) -> None:
 @click.argument("pairs", type=FILE, required=False)
 @click.option("--name", type=SERVICE_NAME, help="Guided: read this service's sensor beside typed distances.")
 @click.option("--seconds", type=Finite(min=0.05), default=1.0, show_default=True, help="Guided: mean over.")
-@click.option("--unit", default="m", show_default=True, help="Of the distances in PAIRS, and of typed ones.")
+@click.option("--unit", default="m", show_default=True, help="Of true in PAIRS, and of typed distances.")
+@click.option(
+    "--indicated-unit",
+    help="Of indicated in PAIRS, where it is a distance.  [default: as the driver gives it, m or V]",
+)
 @click.option("--plot", type=click.Path(dir_okay=False), help="Draw table and residuals (extra plot).")
 @CHANNEL
 @OUT
@@ -75,12 +80,17 @@ def range_command(
     name: str | None,
     seconds: float,
     unit: str,
+    indicated_unit: str | None,
     plot: str | None,
     channel: int,
     out: Path,
     as_json: bool,
 ) -> None:
-    """Find what a sensor's volts (or metres) mean, from PAIRS: CSV with the columns indicated and true."""
+    """Find what a sensor's volts (or metres) mean, from PAIRS: CSV with the columns indicated and true.
+
+    The column indicated has what the driver gives without a calibration: metres for serial, CAN, UDP and
+    pushed ranges, volts for an A/D converter (IIO with metres_per_volt = 1).
+    """
     import numpy as np
 
     from surffollow.apps.fit_range import fit_range
@@ -91,15 +101,20 @@ def range_command(
 
     if (pairs is None) == (name is None):
         raise click.UsageError("give either PAIRS or --name")
+    if indicated_unit is not None and pairs is None:
+        raise click.UsageError("--indicated-unit goes with PAIRS; a service tells the driver's unit")
     check_not_read(out, pairs)
     if plot:
         check_figure(plot)
     scale = unit_scale(unit, "m")
     if pairs is not None:
         indicated, true = read_columns(pairs, ("indicated", "true"))
+        if indicated_unit is not None:
+            indicated = unit_scale(indicated_unit, "m") * indicated
     else:
         indicated, true = guided(str(name), channel, seconds, unit)
     fit = fit_range(np.asarray(indicated), scale * np.asarray(true), channel)
+    notes = unit_notes(fit.table)
     about = {
         f"range {channel}": {
             "method": fit.method,
@@ -109,16 +124,43 @@ def range_command(
     }
     save_calibration(out, merged(out, tables=(fit.table,), about=about))
     if plot:
-        draw(plot, np.asarray(indicated), scale * np.asarray(true), fit)
+        draw(plot, np.asarray(indicated), scale * np.asarray(true), fit, "m" if indicated_unit else "m or V")
     worst_m = max(map(abs, fit.residuals_m), default=0.0)
     inner = np.unique(np.asarray(indicated))[1:-1]
     worst_at = float(inner[int(np.argmax(np.abs(fit.residuals_m)))])
     print_result(
         as_json,
-        {"method": fit.method, "residuals_m": list(fit.residuals_m), "rms_m": fit.rms_m, "out": str(out)},
+        {
+            "method": fit.method,
+            "residuals_m": list(fit.residuals_m),
+            "rms_m": fit.rms_m,
+            "out": str(out),
+            "notes": notes,
+        },
         f"{fit.method} through {len(indicated)} pairs; each pair against the curve without it: RMS "
-        f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm at {worst_at:.6g}; wrote {out}",
+        f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm at {worst_at:.6g}; wrote {out}"
+        + "".join(f"\nnote: {note}" for note in notes),
     )
+
+
+FAR_M = 20.0  # no robot's tool is held so far above a surface
+
+
+def unit_notes(table: Any) -> list[str]:
+    """Signs that the unit of a `RangeTable` is not the one that was meant."""
+    import numpy as np
+
+    low, high = sorted((table.range_m[0], table.range_m[-1]))
+    slope = (high - low) / (table.indicated[-1] - table.indicated[0])
+    notes = []
+    if high > FAR_M:
+        notes.append(f"the distances are {low:.4g} m to {high:.4g} m; is their --unit mm?")
+    elif np.isclose(slope, 1e-3, rtol=0.2):
+        notes.append(
+            f"the indicated values, {table.indicated[0]:.4g} to {table.indicated[-1]:.4g}, seem to be in mm; "
+            "a driver of distances gives metres: --indicated-unit mm"
+        )
+    return notes
 
 
 def guided(name: str, channel: int, seconds: float, unit: str) -> tuple[list[float], list[float]]:
@@ -169,7 +211,7 @@ def guided(name: str, channel: int, seconds: float, unit: str) -> tuple[list[flo
             print(f"  {len(true)}: indicated {indicated[-1]:.6g}", file=sys.stderr)
 
 
-def draw(path: str, indicated: Any, true_m: Any, fit: Any) -> None:
+def draw(path: str, indicated: Any, true_m: Any, fit: Any, unit: str) -> None:
     """Table and residuals as a picture.
 
     Parameters
@@ -178,6 +220,7 @@ def draw(path: str, indicated: Any, true_m: Any, fit: Any) -> None:
     indicated : (n,) float64   what the sensor showed
     true_m : (n,) float64 [m]  true distances
     fit : calibration as fitted
+    unit : str                 of the indicated values
     """
     import numpy as np
 
@@ -191,7 +234,7 @@ def draw(path: str, indicated: Any, true_m: Any, fit: Any) -> None:
     curve.legend()
     inner = np.unique(indicated)[1:-1]
     rest.stem(inner, 1e3 * np.array(fit.residuals_m))
-    rest.set(ylabel="residual without the pair [mm]", xlabel="indicated")
+    rest.set(ylabel="residual without the pair [mm]", xlabel=f"indicated [{unit}]")
     save_figure(figure, path)
 
 
@@ -254,7 +297,7 @@ def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
     check_not_read(out, moves)
     *poses, range_m = read_columns(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))
     fit = fit_mount(np.array(poses).T, range_m)
-    mounts = list((load_calibration(out).mounts or ()) if out.exists() else ())
+    mounts = list((load_calibration(out).mounts or ()) if os.path.exists(out) else ())
     mounts += [IDENTITY] * (channel + 1 - len(mounts))
     mounts[channel] = fit.mount
     about = {

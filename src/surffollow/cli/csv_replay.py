@@ -25,6 +25,7 @@ def replay_csv_log(
     start, end : float or None [s]  part of the log
     mode : str or None              of the follower
     """
+    from surffollow.cli.progress import progress_bar
     from surffollow.errors import UsageError
     from surffollow.record.columns import load_columns
     from surffollow.record.csv_log import read_csv
@@ -35,7 +36,9 @@ def replay_csv_log(
             f"{file} is a CSV log: say what its columns mean with --columns (see examples/columns/)"
         )
     meaning = load_columns(columns)
-    return run_csv(read_csv(file, meaning).between(start, end), meaning, mode), meaning
+    log = read_csv(file, meaning).between(start, end)
+    with progress_bar("following") as progress:
+        return run_csv(log, meaning, mode, progress), meaning
 
 
 def output_suffix(out: str) -> str:
@@ -102,7 +105,7 @@ def csv_text(summary: dict[str, Any]) -> str:
     """The summary of a CSV replay as text."""
 
     def figure(value: float | None) -> str:
-        return "-" if value is None else f"{value:.4f}"
+        return "-" if value is None else f"{value:.4g}"
 
     lines = [
         f"{summary['file']}: {summary['readings']} readings in {summary['rows']} rows, "

@@ -17,7 +17,7 @@ def _speed(ctx: click.Context, param: click.Parameter, value: str | None) -> flo
 
 
 @click.command("demo")
-@click.option("--seconds", type=Finite(2.0, 3600.0), default=20.0, show_default=True, help="Of motion.")
+@click.option("--seconds", type=Finite(3.0, 3600.0), default=20.0, show_default=True, help="Of motion.")
 @click.option(
     "--sensors",
     type=click.IntRange(3, 8),
@@ -25,7 +25,7 @@ def _speed(ctx: click.Context, param: click.Parameter, value: str | None) -> flo
 )
 @click.option("--speed", callback=_speed, help="Along the path.  [default: 50 mm/s; with --sensors 100 mm/s]")
 @click.option("--surface", help="Ground to follow.  [default: fy91; with --sensors dome]")
-@click.option("--seed", default=91, show_default=True, help="Of the ground.")
+@click.option("--seed", type=click.IntRange(0), default=91, show_default=True, help="Of the ground.")
 @click.option("--path", type=click.Choice(["raster", "line"]), default="raster", show_default=True)
 @click.option("--offset", callback=LENGTH, default="0.1 m", show_default=True, help="Stand-off to keep.")
 @click.option(

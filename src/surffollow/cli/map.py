@@ -1,4 +1,4 @@
-"""`surffollow map`: look at map files, export, compose, refocus and compare them; no service needed."""
+"""`surffollow map`: look at map files, export, compose, refocus and compare them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surffollow.cli.facts import print_facts
-from surffollow.cli.map_live import install_command, upload_command
+from surffollow.cli.map_live import install_command, reset_command, upload_command
+from surffollow.cli.option_types import LENGTH
 from surffollow.cli.progress import progress_bar
 from surffollow.errors import UsageError
-from surffollow.units import parse_quantity
 
 if TYPE_CHECKING:
     from surffollow.map import HeightMap
@@ -22,27 +22,9 @@ _EXISTING = click.Path(exists=True, dir_okay=False)
 _SHADES = " .:-=+*#%@"
 
 
-class Length(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
-    """A length such as `0.1in`, `2.54 mm` or `1.5` (metres)."""
-
-    name = "LENGTH"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Metres, or fail with what was expected."""
-        if isinstance(value, float):
-            return value
-        try:
-            return parse_quantity(str(value), "m")
-        except UsageError as error:
-            self.fail(str(error), param, ctx)
-
-
-LENGTH = Length()
-
-
 @click.group("map")
 def map_group() -> None:
-    """Show, export, compose, refocus and compare map files; upload and install a service's map.
+    """Show, export, compose, refocus and compare map files; upload, install and reset a service's map.
 
     Every command reads the text format of UpLoadMap and .npz (lossless), ESRI ASCII grids and GeoTIFF
     (as a prior, count 0), by their content. Every command writes what the suffix says: .txt .npz .asc
@@ -52,6 +34,7 @@ def map_group() -> None:
 
 map_group.add_command(upload_command)
 map_group.add_command(install_command)
+map_group.add_command(reset_command)
 
 
 def _load(path: str) -> HeightMap:

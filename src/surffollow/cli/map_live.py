@@ -1,10 +1,10 @@
-"""`surffollow map upload` and `map install`: the map of a running service to and from a file."""
+"""`surffollow map upload`, `map install` and `map reset`: the map of a running service."""
 
 from __future__ import annotations
 
 import click
 
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import LENGTH, SERVICE_NAME, Finite
 from surffollow.cli.progress import progress_bar
 
 _NAME = click.option(
@@ -55,3 +55,21 @@ def install_command(file: str, name: str, timeout_s: float) -> None:
 
     with attach(name, label="map install") as client, progress_bar("installing") as progress:
         client.map_install(file, timeout_s=timeout_s, progress=progress)
+
+
+@click.command("reset")
+@click.argument("region", nargs=4, type=LENGTH, metavar="X_MIN Y_MIN X_MAX Y_MAX")
+@_NAME
+@_TIMEOUT
+def reset_command(region: tuple[float, float, float, float], name: str, timeout_s: float) -> None:
+    """Clear a running service's map and lay it over a region (MapReset).
+
+    The configuration's access.map says who may do that: by default the client that sends the pose, and
+    any client while nobody sends it.
+
+    Negative coordinates need `--` before them: reset --name surf -- -1 -1 1 1
+    """
+    from surffollow.client import attach
+
+    with attach(name, label="map reset") as client:
+        client.map_reset(region, timeout_s=timeout_s)

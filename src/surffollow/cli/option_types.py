@@ -68,6 +68,24 @@ class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in cl
         return number
 
 
+class Length(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A length such as `0.1in`, `2.54 mm` or `1.5` (metres)."""
+
+    name = "LENGTH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Metres, or fail with what was expected."""
+        from surffollow.errors import UsageError
+        from surffollow.units import parse_quantity
+
+        if isinstance(value, float):
+            return value
+        try:
+            return parse_quantity(str(value), "m")
+        except UsageError as error:
+            self.fail(str(error), param, ctx)
+
+
 def rate_option(text: str) -> Callable[[Any], Any]:
     """Option --rate of the commands that write samples of a recording."""
     kind = Finite(min=0.0, max=10_000.0)
@@ -75,6 +93,7 @@ def rate_option(text: str) -> Callable[[Any], Any]:
 
 
 SERVICE_NAME = ServiceName()
+LENGTH = Length()
 SIZE = Quantity(
     "SIZE", "B", {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 1024.0, "MiB": 2.0**20, "GiB": 2.0**30}
 )

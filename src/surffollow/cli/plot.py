@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
@@ -38,6 +39,8 @@ def plot_command(
     from surffollow.map.formats.atomic_file import check_not_read
     from surffollow.record.figure import check_figure
 
+    if os.path.isdir(file):
+        raise UsageError(f"{file} is a folder; give a recording, a CSV log or a map file")
     target = out or str(Path(file).with_suffix(".png"))
     check_figure(target)
     check_not_read(target, file, columns)

@@ -148,11 +148,14 @@ def report_text(file: str, report: object) -> str:
     r = report
     lines = [
         f"{file}: {r.cycles} cycles in {r.segments} segment(s), recorded by surffollow {r.recorded_by} "
-        f"on {r.machine}; {r.lost_cycles} cycles lost in {r.losses} place(s)",
+        f"on {r.machine}; the recorder lost {r.lost_cycles} cycles in {r.losses} place(s)",
         f"replayed at {r.cycles_per_s / 1e6:.2f} million cycles/s",
     ]
     if not r.complete:
-        lines.append(f"DAMAGED: {r.damage}; {r.lost_bytes} bytes lost; only whole entries were compared")
+        lines.append(
+            f"DAMAGED: {r.damage}; {r.lost_bytes} bytes lost; {r.cycles_not_replayed} cycles not replayed "
+            "(in the damage, and behind it up to the next snapshot); the other whole entries were compared"
+        )
     elif r.lost_bytes:
         lines.append(f"recovered: {r.lost_bytes} bytes of the file that it was made of were lost")
     if r.differing:

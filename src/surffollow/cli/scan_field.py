@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from surffollow.cli.map import LENGTH
+from surffollow.cli.option_types import LENGTH
 from surffollow.cli.scan_options import EXISTING, JSON, OUT
 
 

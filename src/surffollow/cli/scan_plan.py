@@ -8,8 +8,7 @@ import sys
 import click
 
 from surffollow.cli.facts import print_facts
-from surffollow.cli.map import LENGTH
-from surffollow.cli.option_types import Finite
+from surffollow.cli.option_types import LENGTH, Finite
 from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.scan_options import (
     ACCELERATION,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +46,13 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     "--seconds", type=Finite(min=0.0), default=20.0, show_default=True, help="Of motion; 0: to its end."
 )
 @click.option("--surface", default="fy91", show_default=True, help="Ground; the service needs the same.")
-@click.option("--seed", default=91, show_default=True, help="Of the ground; the service needs the same.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=91,
+    show_default=True,
+    help="Of the ground; the service needs the same.",
+)
 @click.option(
     "--grid", callback=LENGTH, default="1 mm", show_default=True, help="Spacing of the ground's heights."
 )
@@ -66,7 +73,7 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 @click.option("--latency", callback=TIME, default="10 ms", show_default=True, help="Of pose reports.")
 @click.option("--sigma", callback=LENGTH, default="0.05 mm", show_default=True, help="Noise of pose reports.")
 @click.option("--turn", is_flag=True, help="Apply rotations, too; count along the tool's axis.")
-@click.option("--noise-seed", default=1, show_default=True, help="Of that noise.")
+@click.option("--noise-seed", type=click.IntRange(0), default=1, show_default=True, help="Of that noise.")
 @click.option(
     "--wait",
     "wait_s",
@@ -154,6 +161,33 @@ def _print_result(summary: dict[str, Any], as_json: bool) -> None:
             click.echo(f"{key:24} {value if not isinstance(value, float) else round(value, 3)!s:>10}")
 
 
+class _StopSignals:
+    """SIGINT and SIGTERM end the wait for the service at once, and the motion after its period."""
+
+    def __init__(self) -> None:
+        self._stopped = self._moves = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _StopSignals:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, *_: object) -> None:
+        self._stopped = True
+        if not self._moves:
+            raise KeyboardInterrupt
+
+    def __call__(self) -> bool:
+        """Whether a signal came; asked in every period of the motion."""
+        self._moves = True
+        return self._stopped
+
+
 def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], Service]:
     from surffollow.client import attach
 
@@ -167,23 +201,11 @@ def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], S
 def _run(
     config: Any, name: str, wait_s: float, trace: str | None, arbiter: str | None, resource: str
 ) -> dict[str, Any]:
-    import signal
-
     from surffollow.sim.robot_run import claim_priority, run_robot
 
     claim_priority()
-    stop: list[int] = []
-    handlers = {
-        number: signal.signal(number, lambda n, _: stop.append(n))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        core, summary = run_robot(
-            config, name, _attachment(name, arbiter, resource), lambda: bool(stop), wait_s
-        )
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    with _StopSignals() as stopped:
+        core, summary = run_robot(config, name, _attachment(name, arbiter, resource), stopped, wait_s)
     if trace:
         import numpy as np
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -63,8 +64,12 @@ def durations(summary: dict[str, float]) -> str:
     return ", ".join(f"{k} {format_ns(summary[k + '_ns'])}" for k in ("p50", "p99", "max"))
 
 
-def follower_lines(f: dict[str, Any]) -> list[str]:
-    """Estimates of the follower, as text."""
+# a follower without a pose evaluates nothing
+_WITHOUT_POSE = {"NO_POSE": "no pose yet", "POSE_STALE": "no pose"}
+
+
+def follower_lines(f: dict[str, Any], demand_status: Sequence[str] = ()) -> list[str]:
+    """Estimates of the follower, as text; a missing pose counts before the health OK."""
     if "health" not in f:
         return [f"follower {f['mode']}"]
 
@@ -72,13 +77,32 @@ def follower_lines(f: dict[str, Any]) -> list[str]:
         return "-" if f[name] is None else f"{1e3 * f[name]:.3g} mm"
 
     why = f" ({f['reason']})" if f.get("reason") else ""
+    health = f["health"]
+    if health == "OK":
+        health = next((text for name, text in _WITHOUT_POSE.items() if name in demand_status), health)
     return [
-        f"follower {f['mode']}, {f['health']}{why}; noise {mm('noise_m')}, roughness {mm('roughness_m')}, "
-        f"height to {mm('sigma_m')}",
+        f"follower {f['mode']}, {health}{why}; noise {mm('noise_m')}, "
+        f"roughness {mm('roughness_m')}, height to {mm('sigma_m')}",
         f"         latency {1e3 * f['latency_s']:.1f} ms, axis τ {1e3 * f['tau_s']:.0f} ms, "
         f"Permitted_Variance {mm('permitted_variance_m')}, "
         f"Range_Size {f['range_size']} × {mm('interval_size_m')}",
     ]
+
+
+def map_text(name: str, m: dict[str, Any]) -> str:
+    """State and counters of the map as text; with the remedy where there is no map."""
+    queue = f"{m.get('queued', 0)} waiting, {m.get('lost', 0)} lost"
+    if m.get("state") == "no_map":
+        return (
+            f"none ({m.get('applied', 0)} samples dropped; a client's map_reset lays one, or "
+            f"surffollow map reset X_MIN Y_MIN X_MAX Y_MAX --name {name})"
+        )
+    if "state" not in m:
+        return f"cannot be read; {queue}"
+    return (
+        f"{m['state']}, {m['nx']} × {m['ny']} grids of {1e3 * m['grid_m']:.3g} mm; "
+        f"{m['taken']} samples taken, {m['outside']} outside, {queue}"
+    )
 
 
 def render(s: dict[str, Any]) -> str:
@@ -86,7 +110,7 @@ def render(s: dict[str, Any]) -> str:
     from surffollow.shm.bit_names import GRANT_NAMES
     from surffollow.units import format_ns
 
-    late, run, main, map_ = s["lateness"], s["execution"], s["main"], s["map"]
+    late, run, main = s["lateness"], s["execution"], s["main"]
     granted = [n for i, n in enumerate(GRANT_NAMES) if main.get("granted", 0) >> i & 1]
     pose = f"pid {main['pose_pid']}" if main.get("pose_slot", -1) >= 0 else "no client"
     lines = [
@@ -97,8 +121,7 @@ def render(s: dict[str, Any]) -> str:
         f"demand   {'|'.join(s['demand_status']) or 'none'}, age {format_ns(s['age_ns'])}",
         f"poses    {s['poses']} taken, {s['poses_refused']} refused; sent by {pose}",
         f"clients  {main.get('clients', 0)}; requests {s['requests']}, refused {s['requests_refused']}",
-        f"map      {map_.get('applied', 0)} samples, {map_.get('queued', 0)} waiting, "
-        f"{map_.get('lost', 0)} lost",
+        f"map      {map_text(s['name'], s['map'])}",
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
     # behind the line of clients, and behind that of poses
@@ -112,7 +135,7 @@ def render(s: dict[str, Any]) -> str:
             f"ranges   {s['ranges']} taken, {s['ranges_refused']} refused, {s['ranges_skipped']} left out; "
             f"channel {', '.join(pushers) or 'pushed by no client'}",
         )
-    lines[5:5] = follower_lines(s["follower"])
+    lines[5:5] = follower_lines(s["follower"], s["demand_status"])
     if s["stopped"]:
         lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it")
     if s["faults"]:

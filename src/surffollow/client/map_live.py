@@ -164,6 +164,38 @@ class MapReading:
         point: SurfacePoint = self._look(x_m, y_m, surface_point, UNKNOWN_POINT)
         return point
 
+    def map_facts(self) -> dict[str, Any]:
+        """State of the live map and its counters; never waits.
+
+        Returns
+        -------
+        dict
+            `state` ("no_map": no MapReset was called), `nx`, `ny`, `grid_m`; `taken`: samples that changed a
+            grid since the map object was made; `outside`, `clipped`, `gated`: samples beside the map, beyond
+            its heights, refused as outliers
+
+        Raises
+        ------
+        NotRunningError, NoPermissionError
+            as `map_height`
+        """
+        m = self._mapped()
+
+        def word(name: str) -> int:
+            return int(m.words[ml.MapHeader.offset(name) // 8])
+
+        grid = ml.MapHeader.struct_of("grid_m", "grid_m")
+        (grid_m,) = grid.unpack_from(m.memory, ml.MapHeader.offset("grid_m"))
+        state = word("state")
+        return {
+            "state": ml.STATE_NAMES[state] if 0 <= state < len(ml.STATE_NAMES) else "?",
+            "nx": word("nx"),
+            "ny": word("ny"),
+            "grid_m": grid_m,
+            "taken": word("samples"),
+            **{name: word(name) for name in ("outside", "clipped", "gated")},
+        }
+
     def map_window(self, region: Sequence[float] | None = None) -> MapWindow:
         """The live grids as read-only NumPy views, nothing copied.
 

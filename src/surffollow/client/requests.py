@@ -236,7 +236,8 @@ def _explain(code: int, detail: int) -> str:
     if code in (ERR_POSE_HELD, ERR_RANGE_HELD):
         return f"refused: {text} (pid {detail})"
     if code == ERR_NO_CHANNEL:
-        return f"refused: {text}; it has " + (f"{detail} channels" if detail else "another kind of driver")
+        channels = "one channel" if detail == 1 else f"{detail} channels"
+        return f"refused: {text}; it has {channels if detail else 'another kind of driver'}"
     if code == ERR_NOT_POSE_HOLDER:
         return f"refused: {text}; " + (f"now that is pid {detail}" if detail else "no client sends it now")
     if code == ERR_STOP_REMAINS:

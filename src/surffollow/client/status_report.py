@@ -8,6 +8,7 @@ from surffollow.client.demand import STALE, status_names
 from surffollow.client.follower_report import follower_report, numbered_faults
 from surffollow.client.histogram_report import histogram_summary
 from surffollow.config.stop_causes import stop_names
+from surffollow.errors import SurffollowError
 from surffollow.shm.layout_board import STATE_READY, MainThreadState, MapStatus, Stats
 from surffollow.shm.layout_follow import Output, Params
 
@@ -48,5 +49,13 @@ def status_report(observer: Observer) -> dict[str, Any]:
         "stopped": list(stop_names(int(output["stop"]) if output else 0)),
         "main": main_thread,
         "clients": observer.clients(),
-        "map": map_status,
+        "map": map_status | _map_facts(observer),
     }
+
+
+def _map_facts(observer: Observer) -> dict[str, Any]:
+    """State and counters of the map; empty where it is gone or may not be read."""
+    try:
+        return observer.map_facts()
+    except SurffollowError:
+        return {}

@@ -38,6 +38,7 @@ from surffollow.shm.ring import ring_drop, ring_peek
 from surffollow.shm.schema import F64, I64, Nested, Schema
 
 INNER_CAPACITY = 1 << 14
+NOTED_RUN = 50  # readings in a row outside a table that are no single stray ones
 BEYOND_SHARE = 0.02  # of a table's length: so far beyond its ends it is carried on, farther is no measurement
 
 
@@ -49,6 +50,8 @@ class Linearizer(Schema):
     scale = F64(CHANNELS, doc="indicated per count")
     zero = F64(CHANNELS, doc="indicated at 0 counts")
     quantum_m = F64(unit="m", doc="distance of one count")
+    outside = I64(CHANNELS, doc="latest readings in a row that lay outside the channel's table")
+    indicated = F64(CHANNELS, doc="indicated by the latest reading outside it")
 
 
 @jit
@@ -57,7 +60,7 @@ def linearize(relay: Any, indicated: Any, range_m: Any, word: Any) -> Any:
 
     Parameters
     ----------
-    relay : (1,) `Linearizer`
+    relay : (1,) `Linearizer`  readings outside the tables are counted
     indicated, range_m : (CHANNELS, rows) float64, the tables
     word : int64, packed conversion
 
@@ -73,7 +76,12 @@ def linearize(relay: Any, indicated: Any, range_m: Any, word: Any) -> Any:
         x, y = indicated[channel], range_m[channel]
         beyond = BEYOND_SHARE * (x[n - 1] - x[0])
         if not x[0] - beyond <= value <= x[n - 1] + beyond:
+            if flags & FLAG_INVALID == 0:
+                r.outside[channel] += 1
+                r.indicated[channel] = value
             flags |= FLAG_INVALID
+        elif flags & FLAG_INVALID == 0:
+            r.outside[channel] = 0
         low, high = 0, n - 1
         while high - low > 1:
             middle = (low + high) // 2
@@ -141,7 +149,7 @@ def _described(inner: DriverInfo, calibration: Calibration) -> DriverInfo:
         if {t.channel for t in calibration.tables} - set(range(inner.n_channels)):
             raise ConfigError(
                 f"the calibration has tables of channels {[t.channel for t in calibration.tables]}, the "
-                f"driver has {inner.n_channels} channels; calibrate this driver, or set its channels"
+                f"driver has channels 0 to {inner.n_channels - 1}; calibrate this driver, or set its channels"
             )
         ends = [end for t in calibration.tables for end in (t.range_m[0], t.range_m[-1])]
         every = len(calibration.tables) == inner.n_channels
@@ -163,6 +171,7 @@ class CalibratedDriver(RelayDriver):
     def __init__(self, inner: Driver, calibration: Calibration) -> None:
         self._calibration = calibration
         self._info = _described(inner.info, calibration)
+        self._relay = zeros(Linearizer)
         super().__init__(inner, self._info.name, INNER_CAPACITY)
 
     @property
@@ -175,7 +184,7 @@ class CalibratedDriver(RelayDriver):
         if not self._calibration.tables:
             self._inner.start(queue)
             return
-        relay = zeros(Linearizer)
+        self._relay = relay = zeros(Linearizer)
         relay["scale"], relay["zero"] = self._inner.info.scale_m, self._inner.info.zero_m
         relay["quantum_m"] = self._info.scale_m[0]
         indicated, range_m, relay["rows"] = tables_of(self._calibration, self._inner.info)
@@ -188,6 +197,20 @@ class CalibratedDriver(RelayDriver):
     def faults(self) -> list[str]:
         """The inner driver's, and conversions that were lost between."""
         return self._relay_faults("the calibration")
+
+    def notes(self) -> list[str]:
+        """The inner driver's, and channels whose readings lie outside their table."""
+        found = super().notes()
+        for t in self._calibration.tables:
+            count = int(self._relay[0]["outside"][t.channel])
+            if count >= NOTED_RUN:
+                value = self._relay[0]["indicated"][t.channel]
+                found.append(
+                    f"channel {t.channel}: the latest {count} readings lie outside the calibration table: "
+                    f"{value:.4g} is not from {t.indicated[0]:.4g} to {t.indicated[-1]:.4g}. The table needs "
+                    "the driver's unit (m or V): calibrate range --indicated-unit"
+                )
+        return found
 
 
 def calibrated(driver: Driver, calibration: Calibration) -> Driver:

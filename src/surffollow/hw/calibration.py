@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,7 @@ def save_calibration(path: str | Path, calibration: Calibration) -> None:
 
 def merged(path: str | Path, **found: Any) -> Calibration:
     """Contents of a file, or nothing when there is none, with the new results in their place."""
-    old = load_calibration(path) if Path(path).exists() else Calibration()
+    old = load_calibration(path) if os.path.exists(path) else Calibration()
     about = {**old.about, **found.pop("about", {})}
     if "tables" in found:
         new = {t.channel: t for t in (*old.tables, *found["tables"])}

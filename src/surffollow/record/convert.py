@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -97,7 +98,7 @@ def _target(
         stem = target.name if out is None else target.stem
         target = target.with_name(f"{stem}{'-' + part if part else ''}{suffix}")
     check_not_read(target, *paths)
-    if target.exists() and not force:
+    if os.path.exists(target) and not force:
         raise UsageError(f"{target} exists already; choose another --out, or replace it with --force")
     return target
 

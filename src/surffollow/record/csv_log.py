@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
 from pathlib import Path
@@ -14,8 +15,11 @@ from numpy.typing import NDArray
 
 from surffollow.errors import UsageError
 from surffollow.record.columns import Columns
+from surffollow.record.mcap_reader import MAGIC
 from surffollow.units import unit_scale
 
+SHOWN = 200  # characters of a file in a message
+LAST_HEADER_LINE = 100  # so far the line of column names is looked for, for a message
 MAX_SPAN_S = 1e9  # 31 years, well inside int64 nanoseconds
 
 
@@ -72,31 +76,65 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     ------
     UsageError  unreadable, a column is missing, a number is none, time goes back; names file, line, column
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as e:
-        raise UsageError(f"cannot read log {path}: {e.strerror}") from None
-    except UnicodeDecodeError:
-        raise UsageError(f"log {path} is not text; a recording must have a name ending in .mcap") from None
+    text = _text(path)
     names = _names(columns)
-    cells, times = _cells(str(path), text, names, columns.time.column)
+    cells, times, lines = _cells(str(path), text, names, columns.time.column)
     t_s = cells[columns.time.column] * unit_scale(columns.time.unit, "s")
     back = np.flatnonzero(np.diff(t_s) < 0.0)
     if back.size:
         raise UsageError(
-            f"{path}: time goes back in row {back[0] + 2} (column {columns.time.column!r}); sort the log"
+            f"{path}, line {lines[back[0] + 1]}, column {columns.time.column!r}: time goes back; sort the log"
         )
     wide = np.flatnonzero(np.abs(t_s - t_s[:1]) > MAX_SPAN_S)
     if wide.size:
         raise UsageError(
-            f"{path}: row {wide[0] + 1} is more than {MAX_SPAN_S:g} s after the first "
-            f"(column {columns.time.column!r}); correct or remove the row"
+            f"{path}, line {lines[wide[0]]}, column {columns.time.column!r}: more than {MAX_SPAN_S:g} s "
+            "after the first row; correct or remove the row"
         )
     reference = None
     if columns.reference is not None:
         reference = cells[columns.reference.column] * unit_scale(columns.reference.unit, "m")
     since_s = _since(times, unit_scale(columns.time.unit, "s"))
     return CsvLog(t_s, _ranges(columns, cells), _poses(columns, cells, t_s.size), reference, since_s)
+
+
+def _text(path: str | Path) -> str:
+    """Content of a log."""
+    try:
+        content = Path(path).read_bytes()
+    except OSError as e:
+        raise UsageError(f"cannot read log {path}: {e.strerror}") from None
+    if content.startswith(MAGIC):
+        raise UsageError(f"log {path} is a recording; a recording must have a name ending in .mcap")
+    if not content.strip():
+        raise UsageError(f"log {path} is empty; expected a line of column names, then rows of numbers")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise UsageError(f"log {path} is no text in UTF-8; save it as UTF-8")
+    return text
+
+
+def _shown(text: str) -> str:
+    """Text of a file for a message, not longer than a line."""
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
+
+
+def _missing(path: str, header: list[str], names: Iterable[str], rows: Iterable[list[str]]) -> UsageError:
+    """The error of a log whose first line lacks a column, with the cause where it can be seen."""
+    missing = next(name for name in names if name not in header)
+    for separator, word in ((";", "semicolons"), ("\t", "tabs")):
+        if missing in (cell.strip(' "') for cell in ",".join(header).split(separator)):
+            return UsageError(f"{path}: its columns are separated by {word}; save it with commas")
+    for number, row in zip(range(2, LAST_HEADER_LINE + 1), rows):
+        if set(names) <= {cell.strip() for cell in row}:
+            return UsageError(f"{path}: the column names are in line {number}; remove the lines above it")
+    return UsageError(
+        f"{path} has no column {missing!r}; it has {_shown(', '.join(header))}; "
+        "change the column file to match"
+    )
 
 
 def _since(times: list[str], scale: float) -> NDArray[np.float64] | None:
@@ -125,26 +163,25 @@ def _names(c: Columns) -> dict[str, bool]:
 
 def _cells(
     path: str, text: str, names: dict[str, bool], verbatim: str
-) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """The columns as numbers, and one of them as it is written."""
+) -> tuple[dict[str, NDArray[np.float64]], list[str], list[int]]:
+    """The columns as numbers, one of them as it is written, and the line of each row."""
     rows = csv.reader(io.StringIO(text, newline=""))
     try:
         header = [name.strip() for name in next(rows, [])]
         places = {}
+        if not set(names) <= set(header):
+            raise _missing(path, header, names, rows)
         for name in names:
-            if name not in header:
-                raise UsageError(
-                    f"{path} has no column {name!r}; it has {', '.join(header) or 'none'}; "
-                    "change the column file to match"
-                )
             if header.count(name) > 1:
                 raise UsageError(f"{path}: column {name!r} occurs more than once; rename the others")
             places[name] = header.index(name)
         values: dict[str, list[float]] = {name: [] for name in names}
         written: list[str] = []
+        lines: list[int] = []
         for row in rows:
             if not any(cell.strip() for cell in row):
                 continue
+            lines.append(rows.line_num)
             for name, optional in names.items():
                 cell = row[places[name]].strip() if places[name] < len(row) else ""
                 values[name].append(_number(cell, optional, f"{path}, line {rows.line_num}, column {name!r}"))
@@ -152,7 +189,7 @@ def _cells(
                     written.append(cell)
     except csv.Error as e:
         raise UsageError(f"{path}, line {rows.line_num}: {e}") from None
-    return {name: np.array(v, np.float64) for name, v in values.items()}, written
+    return {name: np.array(v, np.float64) for name, v in values.items()}, written, lines
 
 
 def _number(cell: str, optional: bool, where: str) -> float:
@@ -163,7 +200,7 @@ def _number(cell: str, optional: bool, where: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) and not (optional and value == math.inf):
-        raise UsageError(f"{where}: {cell!r} is not a finite number; correct or remove the row")
+        raise UsageError(f"{where}: {_shown(cell)!r} is not a finite number; correct or remove the row")
     return value
 
 

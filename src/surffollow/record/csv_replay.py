@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from surffollow.record.columns import Columns
 from surffollow.record.csv_log import CsvLog
 from surffollow.units import parse_quantity
 
+ROWS_PER_REPORT = 4096  # of the progress
 ROW_HEADER = ("t_s", "range_m", "target_x_m", "target_y_m", "target_z_m", "height_m", "slope", "reference_m")
 
 
@@ -73,13 +75,19 @@ def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
     return Follower(config, offset_m=offset_m)
 
 
-def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay:
+def run_csv(
+    log: CsvLog,
+    columns: Columns,
+    mode: str | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> CsvReplay:
     """Give every row's pose and reading to a follower, in their order, and ask it for forecasts.
 
     Parameters
     ----------
     log, columns
     mode : "paper", "adaptive", or None for the column file's or the product's default
+    progress : gets the finished fraction 0 … 1
 
     Raises
     ------
@@ -97,6 +105,8 @@ def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay
     known = False
     elapsed_s = log.elapsed_s()
     for i in range(n):
+        if progress is not None and i % ROWS_PER_REPORT == 0:
+            progress(i / n)
         t_ns = round(float(elapsed_s[i]) * 1e9) + 1_000_000_000
         follower.pose(t_ns, log.pose[i])
         follower.step(t_ns, [float(log.range_m[i])])
@@ -107,6 +117,8 @@ def run_csv(log: CsvLog, columns: Columns, mode: str | None = None) -> CsvReplay
             height[i], slope[i] = state["height_m"], state["slope"]
         if reading:
             forecast[i] = [follower.forecast_range_m(h) for h in horizons]
+    if progress is not None:
+        progress(1.0)
     used_mode = follower.state()["mode"]
     return CsvReplay(
         log,

@@ -13,7 +13,7 @@ from surffollow.record import figure as fg
 from surffollow.record.figure_data import FigureData, last_service, read_figure_data
 from surffollow.record.latency_histogram import draw_latency
 from surffollow.shm.layout_adaptive import HEALTH_NAMES
-from surffollow.shm.layout_follow import MODE_ADAPTIVE, STATUS_NAMES, VALID
+from surffollow.shm.layout_follow import MODE_ADAPTIVE, NO_POSE, POSE_STALE, STATUS_NAMES, VALID
 
 HORIZON_S = 0.1
 _HEALTH_COLORS = (fg.GREEN, "#d8b13a", fg.ORANGE, fg.RED, "#8e44ad", fg.RED)
@@ -166,12 +166,24 @@ def _draw_forecast(ax: Any, data: FigureData) -> None:
     ax.legend(loc="upper right", ncols=3, markerscale=5)
 
 
+def health_lanes(output: NDArray[Any]) -> list[tuple[str, NDArray[np.bool_], str]]:
+    """States of health with the samples in which each holds, and colours.
+
+    A follower without a pose evaluates nothing: its OK is drawn as "no pose".
+    """
+    health, ok = output["health"], HEALTH_NAMES.index("OK")
+    no_pose = (health == ok) & ((output["status"] & (NO_POSE | POSE_STALE)) != 0)
+    states = [(n, (health == k) & ~no_pose, _HEALTH_COLORS[k]) for k, n in enumerate(HEALTH_NAMES)]
+    return [*states, ("no pose", no_pose, fg.GREY)]
+
+
 def _draw_states(ax: Any, data: FigureData) -> None:
     o, t = data.rows["output"], data.t_s
     lanes: list[tuple[str, list[tuple[NDArray[np.bool_], str]]]] = []
+    health: list[tuple[str, NDArray[np.bool_], str]] = []
     if int(data.source.sampler.params[0]["mode"]) == MODE_ADAPTIVE:
-        parts = [(o["health"] == k, _HEALTH_COLORS[k]) for k in range(len(HEALTH_NAMES))]
-        lanes.append(("health", parts))
+        health = health_lanes(o)
+        lanes.append(("health", [(on, color) for _, on, color in health]))
     for k, name in enumerate(STATUS_NAMES):
         on = (o["status"] >> k & 1) != 0
         if name == "VALID" or on.any():
@@ -183,10 +195,9 @@ def _draw_states(ax: Any, data: FigureData) -> None:
     ax.set_yticks(range(len(lanes)), [name for name, _ in lanes], fontsize=7)
     ax.set_ylim(len(lanes) - 0.5, -0.5)
     ax.set(xlabel="time [s]")
-    seen = [k for k in range(len(HEALTH_NAMES)) if lanes[0][0] == "health" and (o["health"] == k).any()]
     title = "Health and status"
-    if seen:
-        title += ": " + ", ".join(f"{HEALTH_NAMES[k]} {np.mean(o['health'] == k):.1%}" for k in seen)
+    if health:
+        title += ": " + ", ".join(f"{name} {np.mean(on):.1%}" for name, on, _ in health if on.any())
     ax.set_title(title)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,9 +48,10 @@ def recover(path: str | Path, out: str | Path | None = None, *, force: bool = Fa
     MapFileError    the output cannot be written
     """
     path = Path(path)
-    target = path.with_name(f"{path.stem}-recovered{path.suffix}") if out is None else Path(out)
+    # of a folder without a name such as "." the reader says what it is
+    target = path.parent / f"{path.stem}-recovered{path.suffix}" if out is None else Path(out)
     check_not_read(target, path)
-    if target.exists() and not force:
+    if os.path.exists(target) and not force:
         raise UsageError(f"{target} exists already; choose another --out, or replace it with --force")
     done = Recovered(str(target))
     with McapReader(path) as reader, replacing(target) as temporary, open(temporary, "wb") as stream:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from surffollow.errors import RecordingError
-from surffollow.forecast.journal import CYCLE_HEAD
+from surffollow.forecast.journal import CYCLE_HEAD, PARAMS_WORDS, SNAPSHOT_WORDS
 from surffollow.record.log_kernels import (
     R_COUNT,
     R_CYCLES,
@@ -19,17 +18,29 @@ from surffollow.record.log_kernels import (
     R_FIRST_STATE_CYCLE,
     R_FIRST_WORD,
     R_GAPS,
+    R_LAST_CYCLE,
     R_SNAPSHOTS,
     R_STARTED,
     R_STATES_DIFFERING,
+    W_BAD,
+    W_COUNT,
+    W_CYCLES,
+    W_END,
+    W_FIRST_CYCLE,
+    W_LAST_CYCLE,
+    W_SNAPSHOT,
     replay_words,
+    walk_entries,
 )
+from surffollow.record.mcap_reader import Damage
 from surffollow.record.reader import Batch, RecordingReader
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 
 # words stepped in one call of the kernel: many batches, and they stay in the cache
 _RUN_WORDS = 1 << 17
+_ALL = 1 << 62
+_SNAPSHOT_CYCLE_WORD = 2 + PARAMS_WORDS + FollowState.offset("cycle") // 8
 
 
 @dataclass
@@ -57,10 +68,15 @@ class ReplayReport:
 
     `identical` is true only when the file is whole and every demand, status and
     snapshot of every segment came out with the same bits.
+
+    `cycles_not_replayed` counts cycles of damaged or missing parts of this file, and those behind them up
+    to the next snapshot; cycles behind the last whole chunk are not known. `lost_cycles` is the
+    recorder's own count of cycles that it did not get into the file.
     """
 
     identical: bool = False
     cycles: int = 0
+    cycles_not_replayed: int = 0
     segments: int = 0
     differing: int = 0
     first_difference: Difference | None = None
@@ -83,50 +99,88 @@ class ReplayReport:
 
 
 class _Segments:
-    """Collects batches into long runs of words and steps the follower over them."""
+    """Collects batches into long runs of words and steps the follower over them.
+
+    Behind missing or damaged words it goes on at the next snapshot. The cycles that it
+    leaves out are counted by their numbers.
+    """
 
     def __init__(self, report: ReplayReport) -> None:
         self.report = report
+        self.faults = Damage()
         self.words = np.zeros(_RUN_WORDS, np.int64)
         self.bytes = self.words.view(np.uint8)
-        self.filled = 0
+        self.filled = self.filled_cycles = 0
         self.key: tuple[int, int] = (-1, -1)
         self.position = -1
+        self.synced = False  # what is collected began with a snapshot
+        self.last_cycle = -1  # replayed or counted as left out; -1: none yet in this segment
         self.params, self.state = zeros(Params), zeros(FollowState)
         self.inputs, self.output = zeros(Inputs), zeros(Output)
         self.scratch = np.zeros(7)
         self.first = np.zeros(9, np.int64)
         self.tally = np.zeros(R_COUNT, np.int64)
+        self.walk = np.zeros(W_COUNT, np.int64)
 
     def add(self, batch: Batch) -> None:
-        n = len(batch.words) // 8
-        gapless = (batch.segment, batch.epoch) == self.key and batch.position == self.position
-        if not gapless:
+        n, key = len(batch.words) // 8, (batch.segment, batch.epoch)
+        if key != self.key or batch.position != self.position:
             self.run()
-            if (batch.segment, batch.epoch) == self.key:
-                self._fault(f"words {self.position} to {batch.position} of the log are missing")
-            self.key = (batch.segment, batch.epoch)
-            self.tally[R_STARTED] = 0
-            self.report.segments += 1
+            if key == self.key:
+                self.faults.add(f"words {self.position} to {batch.position} of the log are missing")
+            else:
+                self.last_cycle = -1
+            self.key, self.synced = key, False
         if self.filled + n > self.words.size:
             self.run()
         if n > self.words.size:
             self.words = np.zeros(2 * n, np.int64)
             self.bytes = self.words.view(np.uint8)
         self.bytes[8 * self.filled : 8 * (self.filled + n)] = np.frombuffer(batch.words, np.uint8)
-        self.filled += n
         self.position = batch.position + n
+        if self.synced:
+            self.filled += n
+            self.filled_cycles += batch.cycles
+        else:
+            self._seek_snapshot(n, batch.cycles)
+
+    def _seek_snapshot(self, n: int, cycles: int) -> None:
+        """Collect the batch from its first snapshot on; count the cycles before it, or all of them."""
+        words, walk = self.words[:n], self.walk
+        walk_entries(words, n, _ALL, 1, walk)
+        if walk[W_LAST_CYCLE] >= 0:
+            before = int(walk[W_FIRST_CYCLE]) - 1 if self.last_cycle < 0 else self.last_cycle
+            self._leave_out(int(walk[W_LAST_CYCLE]) - before, int(walk[W_LAST_CYCLE]))
+        at = int(walk[W_END])
+        if walk[W_BAD] or walk[W_SNAPSHOT] < 0 or at + SNAPSHOT_WORDS > n:
+            return
+        before = int(words[at + _SNAPSHOT_CYCLE_WORD]) - 1
+        if self.last_cycle >= 0:
+            self._leave_out(before - self.last_cycle, before)
+        words[: n - at] = words[at:].copy()
+        self.filled, self.filled_cycles = n - at, cycles - int(walk[W_CYCLES])
+        self.tally[R_STARTED] = 0
+        self.synced = True
+        self.report.segments += 1
+
+    def _leave_out(self, cycles: int, last: int) -> None:
+        self.report.cycles_not_replayed += max(0, cycles)
+        self.last_cycle = last
 
     def run(self) -> None:
         """Step over what was collected."""
-        at = 0
+        at, before = 0, int(self.tally[R_CYCLES])
         while at < self.filled:
-            at += self._step(at)
+            taken = self._step(at)
+            self.last_cycle = int(self.tally[R_LAST_CYCLE])
+            at += taken
             if at < self.filled:
-                self._fault(f"the word at {self.position - self.filled + at} begins no entry")
-                self.tally[R_STARTED] = 0
+                self.faults.add(f"the word at {self.position - self.filled + at} begins no entry")
+                left = self.filled_cycles - (int(self.tally[R_CYCLES]) - before)
+                self._leave_out(left, self.last_cycle + max(0, left))
+                self.synced = False
                 break
-        self.filled = 0
+        self.filled = self.filled_cycles = 0
 
     def _step(self, at: int) -> int:
         words = self.words[at : self.filled]
@@ -147,10 +201,6 @@ class _Segments:
                 replayed_demand=self.first[3:9].view(np.float64).tolist(),
             )
         return taken
-
-    def _fault(self, what: str) -> None:
-        self.report.complete = False
-        self.report.damage = f"{self.report.damage}; {what}" if self.report.damage else what
 
 
 def warm_up() -> None:
@@ -182,7 +232,7 @@ def replay_file(path: str | Path) -> ReplayReport:
             segments.add(batch)
         segments.run()
         report.seconds = time.perf_counter() - begin
-        _conclude(report, segments.tally, reader)
+        _conclude(report, segments, reader)
     if report.cycles == 0:
         raise RecordingError(
             f"{path} holds no whole cycle to replay" + (f" ({report.damage})" if report.damage else "")
@@ -190,15 +240,16 @@ def replay_file(path: str | Path) -> ReplayReport:
     return report
 
 
-def _conclude(report: ReplayReport, tally: Any, reader: RecordingReader) -> None:
+def _conclude(report: ReplayReport, segments: _Segments, reader: RecordingReader) -> None:
+    tally = segments.tally
     report.cycles, report.differing = int(tally[R_CYCLES]), int(tally[R_DIFFERING])
     report.snapshots, report.states_differing = int(tally[R_SNAPSHOTS]), int(tally[R_STATES_DIFFERING])
     if report.states_differing:
         report.first_state_difference = int(tally[R_FIRST_STATE_CYCLE])
     report.gaps, report.events = int(tally[R_GAPS]), int(tally[R_EVENTS])
-    if reader.damage:
+    if reader.damage or segments.faults:
         report.complete = False
-        report.damage = "; ".join(x for x in (str(reader.damage), report.damage) if x)
+        report.damage = "; ".join(str(x) for x in (reader.damage, segments.faults) if x)
     # a recovered file is whole and lists what its source had lost
     before = reader.summary.get("lost_bytes", "0")
     report.lost_bytes = reader.damage.lost_bytes + (int(before) if before.isdigit() else 0)

@@ -170,10 +170,15 @@ class MessageWriter:
             call(*arguments)
         except OSError as e:
             self._give_up()
-            what = "the disk is full" if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else e.strerror
+            what, remedy = str(e.strerror), "free some space or choose another --out"
+            if e.errno in (errno.ENOSPC, errno.EDQUOT):
+                what = "the disk is full"
+            elif e.errno == errno.EFBIG:
+                what = "no file may be larger here"
+                remedy = "raise the limit (ulimit -f), or rotate files (--rotate-size)"
             raise FaultError(
                 f"recording {self.path} ends after {self._whole} bytes: {what}; it is readable up to there "
-                "(surffollow replay); free some space or choose another --out"
+                f"(surffollow replay); {remedy}"
             ) from None
 
     def _give_up(self) -> None:

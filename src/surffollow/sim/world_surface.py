@@ -20,6 +20,7 @@ from surffollow.sim.surfaces import (
     step_field,
 )
 
+MAX_SEED = 2**63 - 1
 DEFAULT_REGION: Region = (0.0, 0.0, 2.0, 1.0)
 
 _MAKERS: dict[str, Callable[[int, Region, float], HeightField]] = {
@@ -41,7 +42,7 @@ class WorldConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     surface : one of `SURFACES`
-    seed : of its random parts
+    seed : of its random parts, 0 to `MAX_SEED`
     region : (x_min, y_min, x_max, y_max) [m]
     grid_m : spacing of its heights [m]
     file : heights from a map file (see `HeightMap.load`; every grid known) instead of a made surface; a
@@ -95,17 +96,19 @@ def world_surface(
     Parameters
     ----------
     kind : one of `SURFACES`; the benchmark's random profiles are stretched across y
-    seed : int
+    seed : int, 0 to `MAX_SEED`
     region : (x_min, y_min, x_max, y_max) [m]; a profile has its own length in x
     grid_m : spacing [m]; a profile has its own
 
     Raises
     ------
     ConfigError
-        unknown kind
+        unknown kind, or a seed outside its bounds
     RegionError
         see `surfaces.field_axes`
     """
+    if not 0 <= seed <= MAX_SEED:
+        raise ConfigError(f"seed of the ground is {seed}; expected a whole number from 0 to 2^63 - 1")
     if kind in _MAKERS:
         return _MAKERS[kind](seed, region, grid_m)
     if kind in RANDOM:

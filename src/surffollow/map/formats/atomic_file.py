@@ -40,7 +40,7 @@ def replacing(path: FilePath) -> Iterator[Path]:
     except OSError as e:
         raise MapFileError(f"cannot write {target}: {e.strerror or e}") from e
     finally:
-        temporary.unlink(missing_ok=True)
+        _remove(temporary)
 
 
 def check_place(path: FilePath) -> None:
@@ -55,7 +55,7 @@ def check_place(path: FilePath) -> None:
     try:
         _make(target, temporary)
     finally:
-        temporary.unlink(missing_ok=True)
+        _remove(temporary)
 
 
 def check_not_read(out: FilePath, *read: FilePath | None) -> None:
@@ -74,20 +74,32 @@ def check_not_read(out: FilePath, *read: FilePath | None) -> None:
 
 def _names(path: FilePath) -> tuple[Path, Path]:
     """The file and its temporary one."""
+    # functions of os.path: a place that cannot be looked at is refused by `_make`, with the reason
     target = Path(path)
-    if target.exists() and not target.is_file():
+    if os.path.exists(target) and not os.path.isfile(target):
         # renaming over a device or a pipe would take its place
         raise MapFileError(f"{target} is there and is no plain file; choose another name")
-    if target.is_symlink():
-        target = target.resolve()
-    return target, target.with_name(f".{target.name}.{secrets.token_hex(8)}{target.suffix}")
+    if os.path.islink(target):
+        target = Path(os.path.realpath(target))
+    # a name as long as the file system takes has a shorter temporary one
+    return target, target.with_name(f".{target.name[:50]}.{secrets.token_hex(8)}{target.suffix[-50:]}")
 
 
 def _make(target: Path, temporary: Path) -> None:
     try:
+        with contextlib.suppress(FileNotFoundError):
+            os.stat(target)  # a name that the file system does not take
         os.close(os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
     except OSError as e:
-        raise MapFileError(f"cannot write beside {target}: {e.strerror or e}") from e
+        raise MapFileError(
+            f"cannot write beside {target}: {e.strerror or e}; choose another place or name"
+        ) from e
+
+
+def _remove(temporary: Path) -> None:
+    """Remove the temporary file; where it was never made, the reason for that is the error to raise."""
+    with contextlib.suppress(OSError):
+        temporary.unlink()
 
 
 def _mode_for(target: Path) -> int:
