@@ -20,9 +20,9 @@ from surffollow.cli.demo import demo_command
 from surffollow.client import attach
 from surffollow.config.params import PARAMS
 from surffollow.errors import UsageError
-from surffollow.forecast.journal import CYCLE, entry_kind, entry_words
 from surffollow.record.reader import RecordingReader
 from surffollow.shm.conversion import conversion_channel
+from surffollow.shm.journal import CYCLE, entry_kind, entry_words
 from surffollow.shm.layout_follow import DRYRUN, FROZEN, VALID
 
 

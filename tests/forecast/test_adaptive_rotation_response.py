@@ -187,7 +187,7 @@ def test_a_tool_whose_sensors_are_all_stuck_does_not_rotate():
     sensors = [{"near_m": NEAR_M, "far_m": FAR_M, "position_m": [x, y, 0.0]} for x, y in FOUR]
     f, rng, stuck = Follower({"sensors": sensors}, offset_m=STANDOFF_M), np.random.default_rng(3), 0
     r = STANDOFF_M - 0.1 * np.array([x for x, _ in FOUR])
-    for ms in range(0, 2000, 4):
+    for ms in range(0, 2400, 4):
         t_ns = (1000 + ms) * MS
         rise = 0.03e-3 * max(ms - 1000, 0)
         f.pose(t_ns, (0.05e-3 * ms, 0.0, STANDOFF_M + rise, 0.0, 0.0, 0.0, 1.0))

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surffollow.forecast import journal
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.record import log_kernels as k
 from surffollow.record.recorded_inputs import count_inputs, take_inputs
 from surffollow.record.synthetic_log import SyntheticLog
+from surffollow.shm import journal
 from surffollow.shm.cycle_log import log_head
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.layout_board import LogHead

@@ -11,13 +11,13 @@ from click.testing import CliRunner
 
 from surffollow.cli.replay import replay_command
 from surffollow.errors import RecordingError, UsageError
-from surffollow.forecast.journal import MAP, SNAPSHOT, entry_head, entry_kind, entry_words
 from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
 from surffollow.record.map_rebuild import rebuild_map
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.synthetic_log import NS_PER_S, SyntheticLog, synthesise_inputs
+from surffollow.shm.journal import MAP, SNAPSHOT, entry_head, entry_kind, entry_words
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 
 CYCLES = 1400  # before the synthetic log's first change of parameters

@@ -14,7 +14,6 @@ import pytest
 from mcap.reader import make_reader
 
 from surffollow.errors import FaultError, LayoutMismatchError
-from surffollow.forecast.journal import CYCLE, SNAPSHOT, entry_kind, entry_words
 from surffollow.record.format import BATCH_CYCLES, SCHEMA_ENCODING, TOPIC
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
@@ -22,6 +21,7 @@ from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.shm.cycle_log import log_head
+from surffollow.shm.journal import CYCLE, SNAPSHOT, entry_kind, entry_words
 from surffollow.shm.layout_board import LogHead
 
 

@@ -13,13 +13,13 @@ from mcap.writer import Writer
 
 from surffollow.cli.replay import report_text
 from surffollow.errors import RecordingError
-from surffollow.forecast.journal import CYCLE, PARAMS_WORDS, SNAPSHOT, entry_kind, entry_words
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
 from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.recover import recover
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
+from surffollow.shm.journal import CYCLE, PARAMS_WORDS, SNAPSHOT, entry_kind, entry_words
 from surffollow.shm.layout_follow import Params
 
 

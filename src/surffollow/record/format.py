@@ -14,7 +14,7 @@ import sys
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from surffollow.forecast import journal
+from surffollow.shm import journal
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 from surffollow.shm.schema import I64, Schema
 

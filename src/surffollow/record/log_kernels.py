@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 
 from surffollow.config.params import PARAMS as TABLE
-from surffollow.forecast.journal import (
+from surffollow.forecast.step import follow_step, reset_stop, sf_reset
+from surffollow.forecast.stop import latch_stop
+from surffollow.shm.jit import jit
+from surffollow.shm.journal import (
     CYCLE,
     CYCLE_HEAD,
     CYCLE_MAX,
@@ -28,9 +31,6 @@ from surffollow.forecast.journal import (
     entry_words,
     same_outcome,
 )
-from surffollow.forecast.step import follow_step, reset_stop, sf_reset
-from surffollow.forecast.stop import latch_stop
-from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Output, Params
 
 MAP_WORDS = 8  # 7 in recordings from before a refocus could choose its grids

@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
-from surffollow.forecast.journal import (
+from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.map import HeightMap
+from surffollow.record.log_kernels import entry_length, params_in_bounds
+from surffollow.record.reader import RecordingReader
+from surffollow.shm import map_layout as ml
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
+from surffollow.shm.journal import (
     CYCLE,
     MAP,
     PARAMS,
@@ -22,13 +29,6 @@ from surffollow.forecast.journal import (
     entry_kind,
     entry_words,
 )
-from surffollow.forecast.step import follow_step, sf_reset
-from surffollow.map import HeightMap
-from surffollow.record.log_kernels import entry_length, params_in_bounds
-from surffollow.record.reader import RecordingReader
-from surffollow.shm import map_layout as ml
-from surffollow.shm.dtypes import zeros
-from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
 

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS as TABLE
 from surffollow.errors import RecordingError
-from surffollow.forecast.journal import (
+from surffollow.record.reader import RecordingReader
+from surffollow.shm.conversion import conversion_dt_ns
+from surffollow.shm.dtypes import numpy_dtype
+from surffollow.shm.jit import jit
+from surffollow.shm.journal import (
     CYCLE,
     CYCLE_HEAD,
     PARAMS,
@@ -21,10 +25,6 @@ from surffollow.forecast.journal import (
     entry_kind,
     entry_words,
 )
-from surffollow.record.reader import RecordingReader
-from surffollow.shm.conversion import conversion_dt_ns
-from surffollow.shm.dtypes import numpy_dtype
-from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import Params
 
 SEGMENT_GAP_NS = 100_000_000

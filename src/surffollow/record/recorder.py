@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from surffollow.errors import LayoutMismatchError
-from surffollow.forecast.journal import SNAPSHOT_WORDS
 from surffollow.record.format import BATCH_CYCLES
 from surffollow.record.log_kernels import (
     W_BAD,
@@ -24,6 +23,7 @@ from surffollow.record.log_kernels import (
 from surffollow.record.recorder_parts import Counts, Feed, LogSource, Rotation
 from surffollow.record.recording_writer import RecordingWriter
 from surffollow.shm.cycle_log import log_copy, log_head
+from surffollow.shm.journal import SNAPSHOT_WORDS
 
 # one copy out of the log; must hold the longest entry
 _COPY_WORDS = max(1 << 15, 2 * SNAPSHOT_WORDS)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from surffollow.errors import RecordingError
-from surffollow.forecast.journal import CYCLE_HEAD, PARAMS_WORDS, SNAPSHOT_WORDS
 from surffollow.record.log_kernels import (
     R_COUNT,
     R_CYCLES,
@@ -35,6 +34,7 @@ from surffollow.record.log_kernels import (
 from surffollow.record.mcap_reader import Damage
 from surffollow.record.reader import Batch, RecordingReader
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.journal import CYCLE_HEAD, PARAMS_WORDS, SNAPSHOT_WORDS
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 
 # words stepped in one call of the kernel: many batches, and they stay in the cache

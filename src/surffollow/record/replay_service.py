@@ -16,7 +16,6 @@ import numpy as np
 
 from surffollow.config.params import PARAMS
 from surffollow.errors import FaultError, ServiceError
-from surffollow.forecast.journal import CYCLE, CYCLE_HEAD, entry_kind, entry_words
 from surffollow.hw.driver import DriverInfo
 from surffollow.hw.replayed import save_conversions
 from surffollow.record.recorded_inputs import RecordedInputs
@@ -24,6 +23,7 @@ from surffollow.record.service_log import ServiceLog
 from surffollow.service.terminate_child import end_child
 from surffollow.shm.conversion import FLAG_INVALID, conversion_dt_ns, pack_conversion
 from surffollow.shm.cycle_log import log_copy
+from surffollow.shm.journal import CYCLE, CYCLE_HEAD, entry_kind, entry_words
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.objects import SHM_ROOT, unlink
 from surffollow.shm.python_child import module_command

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
-from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.record.log_kernels import entry_length, params_in_bounds
 from surffollow.record.step_samples import (
@@ -30,6 +29,7 @@ from surffollow.record.step_samples import (
     Sample,
     step_samples,
 )
+from surffollow.shm import journal
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast.journal import (
+from surffollow.forecast.step import follow_step
+from surffollow.record.log_kernels import entry_length
+from surffollow.shm.jit import jit
+from surffollow.shm.journal import (
     CYCLE,
     decode_cycle,
     entry_kind,
     same_outcome,
 )
-from surffollow.forecast.step import follow_step
-from surffollow.record.log_kernels import entry_length
-from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS, POSES, Output
 from surffollow.shm.schema import F64, I64, Nested, Schema
 

@@ -13,8 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS
-from surffollow.forecast import journal
-from surffollow.forecast.journal import (
+from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.shm import journal
+from surffollow.shm.conversion import FLAG_INVALID, pack_conversion
+from surffollow.shm.cycle_log import log_append
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.jit import jit
+from surffollow.shm.journal import (
     CYCLE_MAX,
     PARAMS_WORDS,
     RESET,
@@ -24,11 +29,6 @@ from surffollow.forecast.journal import (
     encode_cycle,
     entry_head,
 )
-from surffollow.forecast.step import follow_step, sf_reset
-from surffollow.shm.conversion import FLAG_INVALID, pack_conversion
-from surffollow.shm.cycle_log import log_append
-from surffollow.shm.dtypes import zeros
-from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import LogHead
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast import journal
 from surffollow.service import memory as m
 from surffollow.shm import atomics as at
+from surffollow.shm import journal
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.latch import latch_write

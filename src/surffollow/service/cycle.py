@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast import journal
 from surffollow.forecast.step import follow_step
 from surffollow.hw.driver import REPORT_WORDS
 from surffollow.service import memory as m
@@ -15,6 +14,7 @@ from surffollow.service.requests import process_requests
 from surffollow.service.slot_inputs import POSE_BAD, POSE_OK, POSE_TORN, read_pose
 from surffollow.service.stop_latch import keep_stop
 from surffollow.shm import atomics as at
+from surffollow.shm import journal
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import ITEM_WORDS
 from surffollow.shm.cycle_log import log_append

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS
-from surffollow.forecast.journal import CYCLE_MAX, SNAPSHOT_WORDS
 from surffollow.hw.pushed_ranges import make_pushed
 from surffollow.map.kernels.preview_line import new_kept
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.journal import CYCLE_MAX, SNAPSHOT_WORDS
 from surffollow.shm.layout_board import AUDIT_ENTRY_WORDS, CLIENTS, REQUEST_ARGS, Ack, PosePost, RequestPost
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
 

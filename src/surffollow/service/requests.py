@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast import journal
 from surffollow.forecast.step import sf_reset
 from surffollow.service import memory as m
 from surffollow.service.answers import ACK_STEP, count, log_params, log_value, publish_params, write_ack
@@ -21,6 +20,7 @@ from surffollow.service.range_inputs import any_held, do_range_role, drop_dead_r
 from surffollow.service.slot_inputs import claim_of, new_request
 from surffollow.service.stop_latch import apply_stop_word, do_stop, holder_pid, stop_as_asked
 from surffollow.shm import atomics as at
+from surffollow.shm import journal
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import (

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast import journal
 from surffollow.forecast.step import reset_stop
 from surffollow.forecast.stop import latch_stop
 from surffollow.service import memory as m
 from surffollow.service.change_notes import fill_entry, note_stop, push_entry
 from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.shm import atomics as at
+from surffollow.shm import journal
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import (

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surffollow.forecast import journal
+from surffollow.shm import journal
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import CHANNELS, MAX_CONVERSIONS, MAX_POSES, MAX_PREVIEW, Inputs, Output
 
