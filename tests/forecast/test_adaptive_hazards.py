@@ -415,7 +415,7 @@ def test_known_ground_is_compared_as_its_naive_twin_does(seed):
             drops = 0.0
         elif agrees and peak - h > 3e-3:
             drops += (fading if k else 1.0) * max(peak - h - drops, 0.0)
-        bias += SLOW_RATE * float(np.clip(h - known[1] - bias, -1.5e-3, 1.5e-3))
+        bias += float(np.clip(h - known[1] - bias, -1.5e-3, 1.5e-3)) / min(k + 1, 1.0 / SLOW_RATE)
         assert lowest_plan(a["known"], 1.0) == pytest.approx(1.0 - 3e-3 - drops, abs=1e-12)
         assert a["known"]["bias_m"] == pytest.approx(bias, abs=1e-12)
         if wrong:

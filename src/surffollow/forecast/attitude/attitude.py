@@ -6,7 +6,7 @@ A single reading therefore cannot make the demanded rotation jump.
 
 import math
 
-from surffollow.forecast.attitude.rotation_response import tested_direction
+from surffollow.forecast.attitude.rotation_response import FAR_TURN, tested_direction
 from surffollow.forecast.plant.controller_clock import mean_wait_s
 from surffollow.forecast.pose import rotate, rotation_between
 from surffollow.forecast.quantities import MAX_GAP_NS
@@ -68,6 +68,13 @@ def limit_attitude(params, attitude, nx, ny, nz, dt):
 
 
 @jit
+def tool_axis(sense, k):
+    """Direction of the tool's axis in the pose report with this count, world frame."""
+    p, q = sense.pose, 7 * (k & (POSES - 1)) + 3
+    return rotate(p[q], p[q + 1], p[q + 2], p[q + 3], 0.0, 0.0, 1.0)
+
+
+@jit
 def demand_rotation(params, adaptive, sense, output):
     """Rotation vector from the reported axis of the tool to its setpoint, at most `max_turn_rad`.
 
@@ -77,14 +84,22 @@ def demand_rotation(params, adaptive, sense, output):
     output : record of `Output`  receives `demand[3:6]` [rad]
     """
     now_ns, attitude = adaptive.clock.now_ns, adaptive.attitude
-    u, p, q = attitude.axis, sense.pose, 7 * ((sense.pose_count - 1) & (POSES - 1)) + 3
-    tx, ty, tz = rotate(p[q], p[q + 1], p[q + 2], p[q + 3], 0.0, 0.0, 1.0)
+    u, last = attitude.axis, sense.pose_count - 1
+    tx, ty, tz = tool_axis(sense, last)
+    bx, by, bz = tool_axis(sense, max(last - 1, 0))
+    _, _, _, turn = rotation_between(bx, by, bz, tx, ty, tz)
+    jumped = turn > FAR_TURN * params.max_tilt_rad  # no tool turns so far between two reports
     if params.run == RUN_FREEZE:
         release_attitude(attitude)  # afterwards it begins at the tool
         return
     elapsed_s = (now_ns - attitude.t_ns) * 1e-9
     finite = math.isfinite(u[0] + u[1] + u[2])
-    if attitude.t_ns == 0 or not finite or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint):
+    if (
+        attitude.t_ns == 0
+        or jumped
+        or not finite
+        or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint)
+    ):
         u[0], u[1], u[2], elapsed_s = tx, ty, tz, 0.0
         attitude.angular_velocity_radps[:] = 0.0
     if elapsed_s > 0.0:

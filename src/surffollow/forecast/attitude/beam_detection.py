@@ -71,7 +71,7 @@ def is_bent(adaptive, n_channels, gate_m):
     """Whether the accepted beams lie on no plane within the gate."""
     beams = adaptive.beams
     rank, _, _, _, _, _, _, _, _, error = fit_plane(
-        beams, beams.accepted, n_channels, adaptive.plane.curvature
+        beams, beams.accepted, n_channels, adaptive.plane.curvature, adaptive.noise.sigma_m
     )
     return rank == 2 and error > gate_m * gate_m
 
@@ -135,7 +135,11 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     for k in range(n):
         agree += 1 if abs(beams.sorted_m[k] - median) <= gate else 0
     majority = agree >= 3 and adaptive.plane.rank == 2
-    nearest = beams.sorted_m[max(n, 1) - 1]
+    # ground that is nearer by a stand-off would have touched the tool: such a beam is wrong
+    last, highest_m = max(n, 1) - 1, beams.sorted_m[(n - 1) // 2] + params.offset_m
+    while last > 0 and beams.sorted_m[last] > highest_m:
+        last -= 1
+    nearest = beams.sorted_m[last]
     apart = 2 * agree <= n or (beams.inconsistent != 0 and nearest > median + gate)
     if n < 4 or not begun or not apart:
         beams.inconsistent = 0
@@ -149,7 +153,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
             beams.weight[c] = 0.0
             continue
         if beams.inconsistent != 0:
-            rejected = beams.height_m[c] < nearest - gate
+            rejected = not nearest - gate <= beams.height_m[c] <= nearest
         else:
             deviation = (beams.height_m[c] - median) / gate
             # ground that rises under one beam leaves the gate gradually, a fault at once

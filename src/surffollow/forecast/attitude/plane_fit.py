@@ -95,7 +95,7 @@ def update_plane(params, adaptive, dt):
     """
     beams, plane = adaptive.beams, adaptive.plane
     rank, mx, my, mh, ux, uy, along, across, spread_m2, _ = fit_plane(
-        beams, beams.weight, params.n_channels, plane.curvature
+        beams, beams.weight, params.n_channels, plane.curvature, adaptive.noise.sigma_m
     )
     plane.rank = rank if beams.inconsistent == 0 else 0
     along -= plane.slope_x * ux + plane.slope_y * uy

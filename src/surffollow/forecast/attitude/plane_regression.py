@@ -2,9 +2,10 @@
 
 import math
 
-from surffollow.forecast.quantities import APART_M
+from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.shm.jit import jit
 
+MIN_SPREAD_SIGMAS = 20.0  # of a reading: footprints nearer to each other give no slope
 MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their line
 
 
@@ -22,7 +23,7 @@ def flat_height(beams, curvature, c):
 
 
 @jit
-def fit_plane(beams, weights, n_channels, curvature):
+def fit_plane(beams, weights, n_channels, curvature, sigma_m):
     """Weighted least squares of a plane, along the principal axes of the footprints.
 
     Parameters
@@ -31,6 +32,7 @@ def fit_plane(beams, weights, n_channels, curvature):
     weights : (8,) array  0 to 1; 0: the beam does not count
     n_channels : int      channels in use
     curvature : float64   of the ground [1/m], by which the heights are corrected
+    sigma_m : float64     standard deviation of a reading [m]
 
     Returns
     -------
@@ -60,8 +62,9 @@ def fit_plane(beams, weights, n_channels, curvature):
     major = xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy
     minor = xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux
     along, across = (xh * ux + yh * uy) / major, (yh * ux - xh * uy) / minor
-    rank = 1 if major > APART_M * APART_M else 0
-    if minor > max(APART_M * APART_M, MIN_CONDITION * (major + minor)):
+    least_m2 = (MIN_SPREAD_SIGMAS * max(sigma_m, MIN_NOISE_M)) ** 2
+    rank = 1 if major > least_m2 else 0
+    if minor > max(least_m2, MIN_CONDITION * (major + minor)):
         rank = 2
     error = hh - major * along * along - minor * across * across
     return rank, mx, my, mh, ux, uy, along, across, minor, error

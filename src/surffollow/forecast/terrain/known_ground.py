@@ -63,12 +63,13 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     gate = max(DISAGREEMENT_M, DISAGREEMENT_SIGMAS * adaptive.noise.sigma_m)
     agrees = lowest - gate < h_m - known.bias_m < highest + gate
     known.contradictions = 0 if agrees else known.contradictions + 1
-    fading = min(adaptive.sample.spacing_m / (DROP_LENGTH_M), 1.0) if known.peak_m != 0.0 else 1.0
+    fading = min(adaptive.sample.spacing_m / DROP_LENGTH_M, 1.0) if known.peak_m != 0.0 else 1.0
     known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)
     drop = known.peak_m - h_m
     if agrees and drop > MAX_UNCONFIRMED_DESCENT_M:
         known.descent_m += fading * max(drop - known.descent_m, 0.0)
-    bias_m = known.bias_m + SLOW_RATE * min(max(h_m - here - known.bias_m, -gate), gate)
+    known.compared += 1 if known.compared * SLOW_RATE < 1.0 else 0  # at first the mean is that of all
+    bias_m = known.bias_m + min(max(h_m - here - known.bias_m, -gate), gate) / known.compared
     known.bias_m = min(max(bias_m, -APART_M), APART_M)
     if known.contradictions < 2:
         return False
