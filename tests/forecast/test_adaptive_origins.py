@@ -70,3 +70,16 @@ def test_without_orientation_there_is_no_normal_and_no_accepted_beam():
     output = f._output[0]  # what the service publishes; `state()` leaves the normal out
     assert list(output["normal"]) == [0.0, 0.0, 1.0]
     assert output["beams"] == 0
+
+
+def test_without_a_pose_the_health_is_not_ok():
+    """GIVEN no pose yet, or one that is older than its time-out THEN the health names it."""
+    f, unseen = Follower(offset_m=STANDOFF_M), []
+    for k in range(40):
+        t_ns = 10**9 + k * PERIOD_MS * MS
+        if 10 <= k < 20:
+            f.pose(t_ns, (1e-3 * k, 0.0, STANDOFF_M, 0.0, 0.0, 0.0, 1.0))
+        f.step(t_ns, [STANDOFF_M])
+        unseen.append(f.state()["reason"] == "no pose within its time-out")
+        assert f.state()["health"] == ("DROPOUT" if unseen[-1] else "OK")
+    assert unseen == [True] * 10 + [False] * 20 + [True] * 10

@@ -25,6 +25,7 @@ from surffollow.forecast.sensing.latency_identification import check_configured_
 from surffollow.forecast.sensing.sample_hold import reset_hold
 from surffollow.forecast.stop import apply_stop
 from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.layout_adaptive import DROPOUT, REASON_POSE
 from surffollow.shm.layout_follow import (
     CHANNELS,
     DRYRUN,
@@ -212,6 +213,8 @@ def adaptive_cycle(params, state, sense, fold, inputs, output, pose, ready):
     if adaptive.health.forget != 0:
         begin_anew(state, adaptive.health.forget)
     publish_estimate(params, adaptive, output)
+    if not ready:
+        output.health, output.reason = DROPOUT, REASON_POSE
     return status
 
 

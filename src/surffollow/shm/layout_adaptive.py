@@ -193,7 +193,7 @@ class AdaptiveState(Schema):
 # why the health is not OK, in the order of HEALTH_NAMES' severity
 REASON_NAMES = (
     "",
-    "first samples",
+    "no pose within its time-out",
     "samples outside the innovation gate are unconfirmed",
     "no reading for several sample intervals",
     "readings outside the window",
@@ -209,7 +209,7 @@ REASON_NAMES = (
 )
 (
     REASON_NONE,
-    REASON_FIRST,
+    REASON_POSE,
     REASON_PENDING,
     REASON_NO_READING,
     REASON_OUTSIDE,
