@@ -131,7 +131,7 @@ class NaiveResponse:
             self.shift_ns, self.lift_m = t_ns, r.SHIFT_BANDS * self.band_m
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > self.answer_s
         self.rose, self.because_repeated = rises, repeats and not (wrong or quiet)
-        if rises and (unanswered or (wrong and self.shift_ns is not None)):
+        if rises and unanswered:
             self.lead_before_m = self._lead_m(z_m) - self.lift_m
             self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
             self.lift_m += r.MOTION_BANDS * self.band_m + self.tau_s * rate_mps

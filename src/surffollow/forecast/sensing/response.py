@@ -178,8 +178,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     far = number > MIN_READINGS and descent + stop_m > MAX_DESCENT * standoff_m
     late = response.lift_m > 0.0 and (t_ns - response.test_ns) * 1e-9 > _answer_s(adaptive, number)
     response.rises, response.repeated = 1 if rises else 0, 1 if repeats and not (wrong or quiet) else 0
-    # the greater shift stands out from the lag of the axis; a range far off leads the tool away meanwhile
-    if rises and (late or (wrong and response.lift_m > 0.0)):
+    if rises and late:  # the greater shift stands out from the lag of the axis
         response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
         lift_m = response.lift_m + MOTION_BANDS * band_m + tau * rate
         _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m, lift_m)
