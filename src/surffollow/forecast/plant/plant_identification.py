@@ -69,14 +69,8 @@ def time_steps(from_ns, to_ns):
 @jit
 def predict_axis(params, adaptive, to_ns):
     """Position and velocity of the observed axis at a later time [m, m/s]."""
-    plant = adaptive.plant
-    return follow_setpoints(params, adaptive, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
-
-
-@jit
-def follow_setpoints(params, adaptive, tau, z, v, to_ns):
-    """Position and velocity at a later time of an axis that follows the follower's own setpoints [m, m/s]."""
     plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
+    z, v, tau = plant.axis_m, plant.axis_mps, plant.tau_s
     steps, span_ns = time_steps(plant.t_ns, to_ns)
     for n in range(steps):
         target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
@@ -87,11 +81,14 @@ def follow_setpoints(params, adaptive, tau, z, v, to_ns):
 @jit
 def propagate_axes(params, adaptive, to_ns):
     """Propagate all axis models with the follower's own setpoints."""
-    plant = adaptive.plant
+    plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
     z, v = plant.position_m, plant.velocity_mps
-    for k in range(N_PLANTS):
-        tau = plant.tau_configured_s * TAU_SHARES[k]
-        z[k], v[k] = follow_setpoints(params, adaptive, tau, z[k], v[k], to_ns)
+    steps, span_ns = time_steps(plant.t_ns, to_ns)
+    for n in range(steps):
+        target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
+        for k in range(N_PLANTS):
+            tau = plant.tau_configured_s * TAU_SHARES[k]
+            z[k], v[k] = step_axis(tau, v_max, a_max, z[k], v[k], target, span_ns * 1e-9 / steps)
     plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
 
