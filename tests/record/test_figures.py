@@ -17,10 +17,7 @@ from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
 from surffollow.record.figure import new_figure, outliers, save_figure, spans
 from surffollow.record.latency_histogram import log_histogram
-from surffollow.record.plot_recording import forecast_errors, health_lanes, read_figure_data
-from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_adaptive import HEALTH_NAMES
-from surffollow.shm.layout_follow import NO_POSE, POSE_STALE, VALID, Output
+from surffollow.record.plot_recording import forecast_errors, read_figure_data
 
 BEGINNINGS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
 COLUMNS = """
@@ -88,16 +85,6 @@ def test_a_log_becomes_a_figure_with_its_outlier_gap_and_forecast(log: Path, tmp
     CliRunner().invoke(plot_command, words, catch_exceptions=False)
     for text in ("1 outlier", "no reading", "Forecast error by horizon", "0.5 s ahead", "from above"):
         assert text in words_of(out), text
-
-
-def test_a_start_without_a_pose_is_not_drawn_as_ok() -> None:
-    output = zeros(Output).repeat(4)
-    output["status"] = NO_POSE, VALID, VALID, POSE_STALE
-    output["health"][2] = HEALTH_NAMES.index("DROPOUT")
-    found = {name: on.tolist() for name, on, _ in health_lanes(output)}
-    assert found["OK"] == [False, True, False, False]
-    assert found["DROPOUT"] == [False, False, True, False]
-    assert found["no pose"] == [True, False, False, True]
 
 
 def test_a_map_file_becomes_a_figure(tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ def test_status_tells_that_there_is_no_map_and_a_command_lays_one(service: Servi
 
 
 def test_a_follower_without_poses_is_not_told_as_ok(own_service: Service) -> None:
-    assert "follower adaptive, no pose yet; " in own_service.run("status").stdout
+    assert "follower adaptive, DROPOUT (no pose within its time-out); " in own_service.run("status").stdout
 
 
 def test_a_second_service_of_the_same_name_is_refused_with_the_pid_of_the_first(service: Service) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -64,12 +63,8 @@ def durations(summary: dict[str, float]) -> str:
     return ", ".join(f"{k} {format_ns(summary[k + '_ns'])}" for k in ("p50", "p99", "max"))
 
 
-# a follower without a pose evaluates nothing
-_WITHOUT_POSE = {"NO_POSE": "no pose yet", "POSE_STALE": "no pose"}
-
-
-def follower_lines(f: dict[str, Any], demand_status: Sequence[str] = ()) -> list[str]:
-    """Estimates of the follower, as text; a missing pose counts before the health OK."""
+def follower_lines(f: dict[str, Any]) -> list[str]:
+    """Estimates of the follower, as text."""
     if "health" not in f:
         return [f"follower {f['mode']}"]
 
@@ -77,11 +72,8 @@ def follower_lines(f: dict[str, Any], demand_status: Sequence[str] = ()) -> list
         return "-" if f[name] is None else f"{1e3 * f[name]:.3g} mm"
 
     why = f" ({f['reason']})" if f.get("reason") else ""
-    health = f["health"]
-    if health == "OK":
-        health = next((text for name, text in _WITHOUT_POSE.items() if name in demand_status), health)
     return [
-        f"follower {f['mode']}, {health}{why}; noise {mm('noise_m')}, "
+        f"follower {f['mode']}, {f['health']}{why}; noise {mm('noise_m')}, "
         f"roughness {mm('roughness_m')}, height to {mm('sigma_m')}",
         f"         latency {1e3 * f['latency_s']:.1f} ms, axis τ {1e3 * f['tau_s']:.0f} ms, "
         f"Permitted_Variance {mm('permitted_variance_m')}, "
@@ -135,7 +127,7 @@ def render(s: dict[str, Any]) -> str:
             f"ranges   {s['ranges']} taken, {s['ranges_refused']} refused, {s['ranges_skipped']} left out; "
             f"channel {', '.join(pushers) or 'pushed by no client'}",
         )
-    lines[5:5] = follower_lines(s["follower"], s["demand_status"])
+    lines[5:5] = follower_lines(s["follower"])
     if s["stopped"]:
         lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it")
     if s["faults"]:

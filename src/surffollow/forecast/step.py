@@ -13,12 +13,7 @@ from surffollow.forecast.paper.extrapolation import (
     relay,
 )
 from surffollow.forecast.pose import footprint, pose_at
-from surffollow.forecast.reference_scales import (
-    choose_scales,
-    is_unscaled,
-    scale_inputs,
-    unscale_outputs,
-)
+from surffollow.forecast.reference_scales import choose_scales, is_unscaled, scale_inputs, unscale_outputs
 from surffollow.forecast.reset import begin_anew, reset_surface
 from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing.latency_identification import check_configured_latency

@@ -13,7 +13,7 @@ from surffollow.record import figure as fg
 from surffollow.record.figure_data import FigureData, last_service, read_figure_data
 from surffollow.record.latency_histogram import draw_latency
 from surffollow.shm.layout_adaptive import HEALTH_NAMES
-from surffollow.shm.layout_follow import MODE_ADAPTIVE, NO_POSE, POSE_STALE, STATUS_NAMES, VALID
+from surffollow.shm.layout_follow import MODE_ADAPTIVE, STATUS_NAMES, VALID
 
 HORIZON_S = 0.1
 _HEALTH_COLORS = (fg.GREEN, "#d8b13a", fg.ORANGE, fg.RED, "#8e44ad", fg.RED)
@@ -167,14 +167,8 @@ def _draw_forecast(ax: Any, data: FigureData) -> None:
 
 
 def health_lanes(output: NDArray[Any]) -> list[tuple[str, NDArray[np.bool_], str]]:
-    """States of health with the samples in which each holds, and colours.
-
-    A follower without a pose evaluates nothing: its OK is drawn as "no pose".
-    """
-    health, ok = output["health"], HEALTH_NAMES.index("OK")
-    no_pose = (health == ok) & ((output["status"] & (NO_POSE | POSE_STALE)) != 0)
-    states = [(n, (health == k) & ~no_pose, _HEALTH_COLORS[k]) for k, n in enumerate(HEALTH_NAMES)]
-    return [*states, ("no pose", no_pose, fg.GREY)]
+    """States of health with the samples in which each holds, and colours."""
+    return [(n, output["health"] == k, _HEALTH_COLORS[k]) for k, n in enumerate(HEALTH_NAMES)]
 
 
 def _draw_states(ax: Any, data: FigureData) -> None:
