@@ -103,7 +103,7 @@ def run_demo(config: DemoConfig, folder: Path, progress: Progress) -> dict[str, 
                 progress("reading the map", 1.0)
                 grids = map_figures(client, folder / "map.npz")
                 recorder.child.send_signal(signal.SIGINT)
-                recorded = recorder.result(15.0)
+                recorded = recorder.result(60.0)
     progress("replaying", 1.0)
     replay = replay_file(recording)
     result: dict[str, Any] = {
