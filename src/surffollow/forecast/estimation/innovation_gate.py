@@ -29,7 +29,7 @@ def update_scale(gate, innovation_m, gate_m):
 
 @jit
 def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on):
-    """Decide about a sample, from ACCEPT to OUTVOTED; returns the width of the gate, too.
+    """Whether a sample enters the estimate, and the width of the gate; beyond that width it confirms a step.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises
 
     Returns
     -------
-    int64, float64 [m]
+    bool, float64 [m]
 
     Notes
     -----
@@ -81,7 +81,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on
     -----
     With the likelihood of slots ρ, the sensor's interval T, the axis' time constant τ and n = `step_samples`:
 
-        need = (2 if ρ < 0.2 or n T > τ/2, else n) + min(outliers that agreed with none, τ / (4 T))
+        need = (2 if ρ < 0.2 or n T > τ/2, else n) + min(outliers that agreed with none, τ / (4 T)) − rises_on
         is_step = ν > 0, or travel ≥ ρ · `step_travel`, or time ≥ 120 ms, or pending > accepted samples
 
     A step is confirmed when pending ≥ need and is_step. One outlier that disagrees with n others is left out.

@@ -23,7 +23,10 @@ def oldest_pose_within(sense, window_ns, first_ns):
     k = sense.pose_count - 1
     oldest = max(0, k - POSES + 1)
     t = sense.pose_t_ns[k & (POSES - 1)]
-    while k > oldest and first_ns != sense.pose_t_ns[k & (POSES - 1)] > t - window_ns:
+    while k > oldest:
+        at_ns = sense.pose_t_ns[k & (POSES - 1)]
+        if at_ns == first_ns or at_ns <= t - window_ns:
+            break
         k -= 1
     return k + 1 if t - sense.pose_t_ns[k & (POSES - 1)] > LONG_GAP_NS else k
 

@@ -7,7 +7,7 @@ cycle. Where known ground lies below what channel 0 measures, preview would pull
 import math
 
 from surffollow.forecast.quantities import APART_M, SLOW_RATE
-from surffollow.forecast.terrain.terrain_buffer import CELL_M, buffered_height
+from surffollow.forecast.terrain.terrain_buffer import CELL_M, buffered_height, sensor_leads
 from surffollow.shm.jit import jit
 
 DISAGREEMENT_M = 1.5e-3  # heights of one place that differ by more …
@@ -27,7 +27,7 @@ def known_height(adaptive, inputs, s_m, ahead_m):
     s_m : float64      arc length of the place, for the terrain buffer [m]
     ahead_m : float64  its distance ahead of the point under the newest pose, for the map [m]
     """
-    if adaptive.lookahead.lead_m > 0.0 or adaptive.sample.lead_m > APART_M:
+    if adaptive.lookahead.lead_m > 0.0 or sensor_leads(adaptive):
         return buffered_height(adaptive, s_m)
     if inputs.n_preview < 2 or not inputs.preview_step_m > 0.0:
         return math.nan

@@ -5,8 +5,9 @@ import math
 from surffollow.forecast.estimation.model_bank import extrapolate_bank
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.plant.axis_model import MAX_MODEL_ERROR_M, PERIOD_S
-from surffollow.forecast.quantities import APART_M, USUAL_SAMPLES
+from surffollow.forecast.quantities import USUAL_SAMPLES
 from surffollow.forecast.terrain.known_ground import known_height
+from surffollow.forecast.terrain.terrain_buffer import sensor_leads
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 from surffollow.shm.layout_adaptive_estimation import N_MODELS
@@ -86,11 +87,11 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
     Parameters
     ----------
     adaptive, inputs : records of `AdaptiveState` (`preview` updated), `Inputs`
-    leads : bool         the ground is known from channel 0: without bias, and not to be confirmed
     s_m : float64        arc length of the point under the tool at the latch time [m]
     ahead_m : float64    distance of that point ahead of the one under the newest pose [m]
     """
-    known, ground, leads = adaptive.known, adaptive.preview.ground_m, adaptive.sample.lead_m > APART_M
+    # ground that is known from channel 0 has no bias, and is not to be confirmed
+    known, ground, leads = adaptive.known, adaptive.preview.ground_m, sensor_leads(adaptive)
     if not leads and adaptive.sample.arc_length_m < known.trusted_from_m:
         return 0
     bias_m, periods = 0.0 if leads else known.bias_m, 0
@@ -110,10 +111,10 @@ def update_share(adaptive, known, plant_m2):
     ----------
     adaptive : record of `AdaptiveState` (`preview` updated)
     known : int         known periods of ground
-    leads : bool        the ground is known from channel 0: an uncertain plan is better than none
     plant_m2 : float64  squared error of the best axis model [m²]
     """
-    preview, leads = adaptive.preview, adaptive.sample.lead_m > APART_M
+    # ground that is known from channel 0: an uncertain plan is better than none
+    preview, leads = adaptive.preview, sensor_leads(adaptive)
     trusted = leads or adaptive.clock.now_ns >= preview.suspended_until_ns
     usable = known >= MIN_KNOWN_PERIODS and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
     preview.share += SHARE_RATE if usable else -SHARE_RATE

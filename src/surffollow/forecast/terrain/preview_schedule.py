@@ -6,12 +6,12 @@
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.plant.controller_clock import period_is_due
-from surffollow.forecast.quantities import APART_M
 from surffollow.forecast.reference_scales import dimensionless_time, is_unscaled
 from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS
 from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS
 from surffollow.forecast.terrain.known_ground import REGISTRATION_M
 from surffollow.forecast.terrain.preview import plan_call_s
+from surffollow.forecast.terrain.terrain_buffer import sensor_leads
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
@@ -53,7 +53,7 @@ def preview_uses(params, adaptive, inputs, now_ns):
         return 0
     if params.orient != 0 and params.n_channels >= 3:
         return 0
-    if adaptive.sample.lead_m > APART_M or adaptive.lookahead.lead_m > 0.0:
+    if sensor_leads(adaptive) or adaptive.lookahead.lead_m > 0.0:
         return 0
     if adaptive.kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
         return 0

@@ -25,6 +25,12 @@ def point_at(adaptive, s_m):
 
 
 @jit
+def sensor_leads(adaptive):
+    """Whether channel 0 measures the ground ahead of the tool, and so knows it."""
+    return adaptive.sample.lead_m > APART_M
+
+
+@jit
 def is_off_path(adaptive, c, s_m):
     """Whether cell c was measured away from the point of the path at an arc length."""
     buffer = adaptive.buffer
