@@ -85,7 +85,7 @@ def draw_demo(folder: Path, path: Path, config: DemoConfig, result: dict[str, An
         if more:
             bottom.set_xlabel("")
             _draw_angle(more[0], trace, result)
-        drawn = BytesIO()  # a disk without room is told when all of the picture is there
+        drawn = BytesIO()  # written only when the picture is complete
         figure.savefig(drawn, format=path.suffix[1:].lower(), dpi=100)
         plt.close(figure)
     with replacing(path) as temporary:

@@ -101,7 +101,7 @@ class ReplayReport:
 class _Segments:
     """Collects batches into long runs of words and steps the follower over them.
 
-    Behind missing or damaged words it goes on at the next snapshot. The cycles that it
+    Behind missing or damaged words it resumes at the next snapshot. The cycles that it
     leaves out are counted by their numbers.
     """
 
