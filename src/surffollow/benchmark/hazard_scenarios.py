@@ -19,7 +19,8 @@ ONE = ((0.0, 0.0),)
 LEADING = ((0.0, 0.0), (LEAD_M, 0.0))
 TRAILING = ((-0.03, 0.0),)
 FAR_BEHIND = ((-0.075, 0.0),)
-FOUR = ((0.0, 0.0), *((RING_M * math.cos(k * _THIRD), RING_M * math.sin(k * _THIRD)) for k in range(3)))
+THREE = tuple((RING_M * math.cos(k * _THIRD), RING_M * math.sin(k * _THIRD)) for k in range(3))
+FOUR = ((0.0, 0.0), *THREE)
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,8 @@ KINDS = {
     "stairs and slow": Kind((5e-3, 25e-3), signed=True, interval_ms=(20, 500)),
     "flank": Kind(slope=(1.0, 2.5), interval_ms=(READING_MS, 60), rises=True),
     "blocked and slow": Kind((0.0, 20e-3), (0.3, 1.5), signed=True, interval_ms=(READING_MS, 100)),
+    "one of three blocked": Kind((0.0, 20e-3), (0.3, 2.0), signed=True, mounts_m=THREE, slope=(0.0, 0.3)),
+    "one of four blocked": Kind((0.0, 20e-3), (0.3, 2.0), signed=True, mounts_m=FOUR, slope=(0.0, 0.3)),
     "blocked on a slope": Kind((0.0, 10e-3), (0.5, 2.0), signed=True, slope=(0.05, 0.3)),
 }
 MAX_CLIMB_MPS = 0.1  # over slopes of more than 1: half of what the axis can

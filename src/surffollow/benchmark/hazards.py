@@ -33,7 +33,16 @@ from surffollow.sim.plant import PlantConfig, axis_step, setpoint_for
 
 P_GAIN, P_TIMEOUT_MS, P_TIMEOUT_INTERVALS = 0.7, 130, 2.5
 HELD_MS = 100
-NOISY = ("blocked", "frozen", "constant and far", "all blocked", "blocked and slow", "blocked on a slope")
+NOISY = (
+    "blocked",
+    "frozen",
+    "constant and far",
+    "all blocked",
+    "blocked and slow",
+    "blocked on a slope",
+    "one of three blocked",
+    "one of four blocked",
+)
 PLANT = PlantConfig()
 
 
@@ -120,9 +129,9 @@ def faulty_channels(s: Scenario) -> tuple[int, ...]:
         return (1,)
     if s.family.startswith("all"):
         return tuple(range(len(KINDS[s.family].mounts_m)))
-    if s.family.endswith("of four"):
-        count = 2 if s.family == "two of four" else 1
-        return tuple(int(c) for c in np.random.default_rng([s.seed, 97]).permutation(4)[:count])
+    if s.family.startswith(("one of", "two of")):
+        count, n = 2 if s.family == "two of four" else 1, len(KINDS[s.family].mounts_m)
+        return tuple(int(c) for c in np.random.default_rng([s.seed, 97]).permutation(n)[:count])
     return (0,)
 
 

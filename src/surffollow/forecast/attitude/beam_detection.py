@@ -2,19 +2,31 @@
 
 Each beam gives a height under the tool by way of the known slopes. A beam that deviates from the median of
 these heights by more than the gate is excluded. After some samples it is accepted again (the ground has
-turned), unless three others agree on a plane. A beam that alone repeats its range is stuck. Without a
-majority the beams that see the nearest ground count.
+turned), unless three others agree on a plane. A beam whose range is constant while the tool's motion changes
+those of two others is blocked, or stuck. Without a majority the beams that see the nearest ground count.
 """
+
+import math
 
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height
 from surffollow.forecast.pose import footprint
+from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
 from surffollow.forecast.sensing.kinematics import predict_pose
+from surffollow.forecast.sensing.range_prediction import longest_gap_s
+from surffollow.forecast.sensing.response import (
+    BAND_SIGMAS,
+    MOTION_BANDS,
+    TEST_BAND_FACTOR,
+    mean_band_m,
+    mean_samples,
+)
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
 
-STUCK_SAMPLES = 12.0  # a stuck beam repeats its range for so many usual intervals longer than a drop-out
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
+STUCK_SAMPLES = 12.0  # a stuck beam repeats its range for so many usual intervals longer than a drop-out
+CHANGES = 6  # of the ranges of two others by turns, while that of a beam stays: more than chance
 WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 
 
@@ -55,15 +67,64 @@ def observe_beams(params, adaptive, sense, pose):
             continue
         t_ns, range_m = sense.range_t_ns[c] + adaptive.hold.shift_ns, sense.range_m[c]
         predict_pose(adaptive.kinematics, sense, t_ns, pose)
-        x, y, z, _ = footprint(pose, params.tool_from_sensor, c, range_m)
+        x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, c, range_m)
         beams.footprint_m[3 * c], beams.footprint_m[3 * c + 1], beams.footprint_m[3 * c + 2] = x, y, z
         changed = abs(range_m - beams.repeat_range_m[c]) > REPEAT_BAND * adaptive.noise.sigma_m
         if changed or beams.t_ns[c] == 0 or t_ns < beams.repeat_ns[c]:
             beams.repeat_range_m[c], beams.repeat_ns[c] = range_m, t_ns
+        observe_range(params, adaptive, c, t_ns, range_m, sensor_z)
         beams.range_m[c], beams.t_ns[c] = range_m, t_ns
         dx, dy, _ = axis_ground_point(params, pose, 0)  # accurate enough for the curvature
         beams.axis_x_m, beams.axis_y_m = pose[0] + dx, pose[1] + dy
     return choose_reference(params, beams, sense)
+
+
+@jit
+def beam_noise_m(params, adaptive):
+    """Standard deviation of a range [m]. That of the heights is less: they are means over the beams."""
+    return max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(params.n_channels)
+
+
+@jit
+def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
+    """Update the mean range of a beam; a run of constant ranges ends when it has changed.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`beams` updated)
+    c : int               channel
+    t_ns : int64          timestamp of its newest range
+    range_m : float64     that range [m]
+    sensor_z_m : float64  height of the sensor at that time [m]
+    """
+    beams, number, sigma = adaptive.beams, mean_samples(adaptive), beam_noise_m(params, adaptive)
+    deviation, most = range_m - beams.mean_m[c], BAND_SIGMAS * sigma
+    begins = beams.t_ns[c] == 0 or not 0 <= t_ns - beams.t_ns[c] <= longest_gap_s(adaptive.prediction) * 1e9
+    beams.mean_m[c] += min(max(deviation, -most), most) / number
+    change = abs(beams.mean_m[c] - beams.run_mean_m[c])
+    if begins or change > TEST_BAND_FACTOR * mean_band_m(sigma, number):
+        if begins or abs(deviation) > most:  # of a step the mean sees a part
+            beams.mean_m[c] = range_m
+        beams.changes += 1 if beams.changed != c else 0
+        beams.changed, beams.run_changes[c] = c, beams.changes
+        beams.run_mean_m[c], beams.run_z_m[c] = beams.mean_m[c], sensor_z_m
+        beams.run_motion_m[c] = 0.0
+    beams.run_motion_m[c] = max(beams.run_motion_m[c], abs(sensor_z_m - beams.run_z_m[c]))
+
+
+@jit
+def is_blocked(params, adaptive, c):
+    """Whether the range of one of three beams has stayed while its sensor moved and both others changed.
+
+    The ground seems to move with the sensor. Over ground that is followed well, all ranges stay. More than
+    three beams are isolated by the plane on which they lie.
+    """
+    beams, n = adaptive.beams, 0
+    for k in range(params.n_channels):
+        n += 1 if beams.t_ns[k] != 0 and abs(beams.t_ns[c] - beams.t_ns[k]) <= MISSING_NS else 0
+    least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
+    changes = beams.changes - beams.run_changes[c]
+    return n == 3 and changes >= CHANGES and beams.run_motion_m[c] > least_m
 
 
 @jit
@@ -78,7 +139,8 @@ def is_bent(adaptive, n_channels, gate_m):
 
 @jit
 def collect_heights(params, adaptive, t_ns, x_m, y_m):
-    """Heights at (x, y) by all beams with a recent footprint, sorted; their number and that of stuck ones.
+    """Heights at (x, y) by beams with a recent footprint that are not blocked, sorted; numbers of them, and of
+    those that repeat.
 
     Parameters
     ----------
@@ -93,7 +155,8 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
     beams, plane = adaptive.beams, adaptive.plane
     n, repeating = 0, 0
     for c in range(params.n_channels):
-        beams.accepted[c] = 1 if beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS else 0
+        recent = beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS
+        beams.accepted[c] = 1 if recent and not is_blocked(params, adaptive, c) else 0
         if beams.accepted[c] == 0:
             continue
         dx, dy = beams.footprint_m[3 * c] - x_m, beams.footprint_m[3 * c + 1] - y_m

@@ -9,6 +9,7 @@ import math
 from surffollow.forecast.attitude.beam_detection import isolate_faults
 from surffollow.forecast.attitude.plane_regression import curvature_error, fit_plane
 from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE
+from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.shm.jit import jit
 
 SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes, critically damped
@@ -51,12 +52,6 @@ def reset_plane(plane):
     """Discard the plane: it is level."""
     plane.first_ns = plane.count = 0
     plane.slope_x = plane.slope_y = plane.slope_rate_x_hz = plane.slope_rate_y_hz = plane.curvature = 0.0
-
-
-@jit
-def longest_gap_s(prediction):
-    """Longest time between two planes of the same motion [s]; slow rings have no gap."""
-    return MAX_GAP_NS * 1e-9 + 2.0 * prediction.interval_s
 
 
 @jit

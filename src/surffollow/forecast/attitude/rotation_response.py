@@ -9,10 +9,11 @@ or not. If it does not, the tool does not turn (`ROTATION_FAILED`) until the dev
 
 import math
 
-from surffollow.forecast.attitude.plane_fit import SLOPE_BANDWIDTH_RADPS, longest_gap_s
+from surffollow.forecast.attitude.plane_fit import SLOPE_BANDWIDTH_RADPS
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between
 from surffollow.forecast.quantities import MISSING_NS
+from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.forecast.sensing.response import (
     MIN_MEANS,
     MOTION_BANDS,

@@ -12,7 +12,7 @@ Over a slope, where the range returns to no mean, it is 0.
 
 import math
 
-from surffollow.forecast.quantities import GATE_SCALES
+from surffollow.forecast.quantities import GATE_SCALES, MAX_GAP_NS
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 
@@ -61,6 +61,12 @@ def predict_range(prediction, horizon_s):
         return math.nan
     by_trend_m, return_m = forecast_parts(prediction, horizon_s)
     return by_trend_m + return_gain(prediction) * return_m
+
+
+@jit
+def longest_gap_s(prediction):
+    """Longest time between two samples of the same motion [s]; slow beams have no gap."""
+    return MAX_GAP_NS * 1e-9 + 2.0 * prediction.interval_s
 
 
 @jit

@@ -46,6 +46,19 @@ ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on g
 
 
 @jit
+def mean_samples(adaptive):
+    """Samples in a mean range: those of a time constant, within limits."""
+    interval_s = max(adaptive.prediction.interval_s, 1e-6)
+    return min(max(adaptive.plant.tau_s / interval_s, MIN_READINGS), MAX_READINGS)
+
+
+@jit
+def mean_band_m(sigma_m, number):
+    """Change of a mean of `number` ranges of standard deviation σ that noise explains [m]."""
+    return BAND_SIGMAS * sigma_m / number**0.5
+
+
+@jit
 def _begin_run(adaptive, tool_z_m):
     """Begin a run of constant ranges at the present mean, over the present slope."""
     response = adaptive.response
@@ -248,17 +261,16 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     tool_z_m : float64       height of the tool at that time [m]
     gap_s : float64          a longer time without samples begins a new run [s]
     """
-    response, interval_s = adaptive.response, max(adaptive.prediction.interval_s, 1e-6)
+    response, number = adaptive.response, mean_samples(adaptive)
     sigma = max(adaptive.noise.sigma_m, MIN_NOISE_M)
-    number = min(max(adaptive.plant.tau_s / interval_s, MIN_READINGS), MAX_READINGS)
-    band = BAND_SIGMAS * sigma / number**0.5
+    band = mean_band_m(sigma, number)
     begins = response.t_ns == 0 or not 0.0 < (t_ns - response.t_ns) * 1e-9 <= gap_s
     response.t_ns = t_ns
     _count_repeats(response, range_m, adaptive.noise.sigma_m)
     _update_mean(response, range_m, sigma, number)
     if begins or _responds(response, band):
         tested = response.phase != RESPONSE_RUN or response.lift_m > 0.0
-        back_s = stop_s(adaptive) + number * interval_s if tested and not begins else 0.0
+        back_s = stop_s(adaptive) + number * adaptive.prediction.interval_s if tested and not begins else 0.0
         response.settled_ns = t_ns + int(1e9 * back_s)
         if begins or abs(range_m - response.mean_m) > BAND_SIGMAS * sigma:  # of a step the mean sees a part
             response.mean_m = range_m
