@@ -123,7 +123,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "return params.max_wait_s",
         )
     ],
-    "adaptive wave numbers": [("estimate", "        adapt_waves(bank, h_m, r, travel)", "        pass")],
+    "adaptive wave numbers": [("estimate", "model_bank.adapt_waves(bank, h_m, r, travel)", "pass")],
     "decaying slopes": [
         ("model_bank", "((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))", "((1e3, 0.0), (1e3, 0.0), (1e3, 0.0))")
     ],

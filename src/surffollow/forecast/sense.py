@@ -1,13 +1,7 @@
 """From conversions to distances: the first step of a cycle (paper §3.2.1)."""
 
 from surffollow.forecast.pose import push_pose
-from surffollow.shm.conversion import (
-    FLAG_INVALID,
-    conversion_channel,
-    conversion_counts,
-    conversion_dt_ns,
-    conversion_flags,
-)
+from surffollow.shm import conversion
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import CHANNELS, CONVERSION_WINDOW, MODE_ADAPTIVE
 
@@ -113,15 +107,15 @@ def take_conversions(params, sense, inputs):
         sense.fresh[c] = 0
     for k in range(inputs.n_conversions):
         word = inputs.conversion[k]
-        c = conversion_channel(word)
+        c = conversion.conversion_channel(word)
         if c >= params.n_channels:
             continue
-        range_m = params.zero_m[c] + params.scale_m[c] * conversion_counts(word)
-        bad = (conversion_flags(word) & FLAG_INVALID) != 0
+        range_m = params.zero_m[c] + params.scale_m[c] * conversion.conversion_counts(word)
+        bad = (conversion.conversion_flags(word) & conversion.FLAG_INVALID) != 0
         if bad or not (params.range_min_m < range_m < params.range_max_m):
             lose_channel(sense, c)
         else:
-            push_sample(params, sense, c, inputs.t_ns + conversion_dt_ns(word), range_m)
+            push_sample(params, sense, c, inputs.t_ns + conversion.conversion_dt_ns(word), range_m)
     average_windows(params, sense, params.sensor_readings)
 
 

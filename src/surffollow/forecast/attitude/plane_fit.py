@@ -6,8 +6,7 @@ beam, the track that the reference beam draws on the ground updates the slope al
 
 import math
 
-from surffollow.forecast.attitude.beam_detection import isolate_faults
-from surffollow.forecast.attitude.plane_regression import curvature_error, fit_plane
+from surffollow.forecast.attitude import beam_detection, plane_regression
 from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE
 from surffollow.shm.jit import jit
 
@@ -34,7 +33,7 @@ def plane_height(params, adaptive, t_ns, x_m, y_m):
     """
     plane = adaptive.plane
     dt = propagate_slopes(adaptive, t_ns)
-    accepted = isolate_faults(params, adaptive, t_ns, x_m, y_m)
+    accepted = beam_detection.isolate_faults(params, adaptive, t_ns, x_m, y_m)
     if accepted == 0:
         return 0, 0.0
     mx, my, mh = update_plane(params, adaptive, dt)
@@ -94,7 +93,7 @@ def update_plane(params, adaptive, dt):
     3 × float64 [m]
     """
     beams, plane = adaptive.beams, adaptive.plane
-    rank, mx, my, mh, ux, uy, along, across, spread_m2, _ = fit_plane(
+    rank, mx, my, mh, ux, uy, along, across, spread_m2, _ = plane_regression.fit_plane(
         beams, beams.weight, params.n_channels, plane.curvature, adaptive.noise.sigma_m
     )
     plane.rank = rank if beams.inconsistent == 0 else 0
@@ -104,7 +103,7 @@ def update_plane(params, adaptive, dt):
     share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
     if plane.rank == 2:
         plane.fitted_x, plane.fitted_y, plane.spread_m2 = plane.slope_x + ex, plane.slope_y + ey, spread_m2
-        error = curvature_error(beams, plane, params.n_channels, mx, my, mh)
+        error = plane_regression.curvature_error(beams, plane, params.n_channels, mx, my, mh)
         plane.curvature += min(CURVATURE_RATE_HZ * dt, 0.5) * error
         rate_gain_hz = 0.25 * share * share / dt if dt > 0.0 else 0.0
         plane.slope_rate_x_hz += rate_gain_hz * ex

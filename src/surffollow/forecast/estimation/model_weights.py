@@ -9,8 +9,7 @@ import math
 
 import numpy as np
 
-from surffollow.forecast.estimation.model_bank import KIND, SCALE, WAVES
-from surffollow.forecast.estimation.setpoint_lead import update_lead
+from surffollow.forecast.estimation import model_bank, setpoint_lead
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
@@ -19,7 +18,7 @@ NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
 WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
 WEIGHT_INTERVAL_S = 0.005  # quicker sensors do not update the weights with each sample
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
-CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[KIND]
+CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[model_bank.KIND]
 # power of the effort: on rough ground the smoother of two equal models is better, and during
 # burn-in a model that follows the noise may fit by chance
 ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
@@ -54,7 +53,7 @@ def update_index(params, adaptive, travel_m, dt_s, target_m):
         e = position_m[i] - left_out[i] * (position_m[i] - without_lead_m) - target_m
         weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
-    update_lead(params, adaptive, f, g, target_m)
+    setpoint_lead.update_lead(params, adaptive, f, g, target_m)
     weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
     weights.waiting_s += dt_s
     if weights.waiting_s >= WEIGHT_INTERVAL_S:
@@ -99,7 +98,7 @@ def compute_costs(params, adaptive):
         c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
         c += p_e * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
-        is_alias = i >= WAVES and SCALE[i] * spacing_m > MAX_WAVE_PHASE
+        is_alias = i >= model_bank.WAVES and model_bank.SCALE[i] * spacing_m > MAX_WAVE_PHASE
         weights.cost[i] = math.inf if is_alias else c
 
 

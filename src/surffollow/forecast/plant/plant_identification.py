@@ -10,9 +10,7 @@ import math
 import numpy as np
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, MAX_MODEL_ERROR_M, step_axis
-from surffollow.forecast.plant.controller_clock import period_at, share_of_next
-from surffollow.forecast.plant.shadow_axes import MAX_AXIS_GAP_NS
+from surffollow.forecast.plant import axis_model, controller_clock, shadow_axes
 from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
@@ -51,18 +49,18 @@ def reset_axes(params, adaptive, t_ns, z_m):
 def own_setpoint(adaptive, t_ns):
     """The follower's own setpoint that is in force at a time [m]."""
     plant, controller = adaptive.plant, adaptive.controller
-    k, next_m = period_at(controller, t_ns), plant.newest_m
+    k, next_m = controller_clock.period_at(controller, t_ns), plant.newest_m
     if k < controller.periods - 1:
         next_m = plant.setpoint_m[(k + 1) & (N_PERIODS - 1)]
     held_m = plant.setpoint_m[k & (N_PERIODS - 1)]
-    return held_m + share_of_next(controller, k, t_ns, plant.newest_ns) * (next_m - held_m)
+    return held_m + controller_clock.share_of_next(controller, k, t_ns, plant.newest_ns) * (next_m - held_m)
 
 
 @jit
 def time_steps(from_ns, to_ns):
     """Number and length of the time steps of an axis model [s]; the span is MAX_AXIS_GAP_NS at most."""
-    span_ns = min(to_ns - from_ns, MAX_AXIS_GAP_NS)
-    steps = (span_ns + AXIS_STEP_NS - 1) // AXIS_STEP_NS
+    span_ns = min(to_ns - from_ns, shadow_axes.MAX_AXIS_GAP_NS)
+    steps = (span_ns + axis_model.AXIS_STEP_NS - 1) // axis_model.AXIS_STEP_NS
     return steps, span_ns
 
 
@@ -74,7 +72,7 @@ def predict_axis(params, adaptive, to_ns):
     steps, span_ns = time_steps(plant.t_ns, to_ns)
     for n in range(steps):
         target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
-        z, v = step_axis(tau, v_max, a_max, z, v, target, span_ns * 1e-9 / steps)
+        z, v = axis_model.step_axis(tau, v_max, a_max, z, v, target, span_ns * 1e-9 / steps)
     return z, v
 
 
@@ -88,7 +86,7 @@ def propagate_axes(params, adaptive, to_ns):
         target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
         for k in range(N_PLANTS):
             tau = plant.tau_configured_s * TAU_SHARES[k]
-            z[k], v[k] = step_axis(tau, v_max, a_max, z[k], v[k], target, span_ns * 1e-9 / steps)
+            z[k], v[k] = axis_model.step_axis(tau, v_max, a_max, z[k], v[k], target, span_ns * 1e-9 / steps)
     plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
 
@@ -149,7 +147,7 @@ def update_plant(params, adaptive, sense, adapt):
     if setpoint.t_ns == 0:
         remove_common_error(plant)
     applied = adaptive.controller.periods > 0 and setpoint.t_ns != 0 and setpoint.in_dryrun == 0
-    continues = plant.t_ns < t <= plant.t_ns + MAX_AXIS_GAP_NS
+    continues = plant.t_ns < t <= plant.t_ns + shadow_axes.MAX_AXIS_GAP_NS
     if not applied or not continues or plant.tau_configured_s != params.plant_tau_s:
         reset_axes(params, adaptive, t, z)
         return
@@ -157,7 +155,7 @@ def update_plant(params, adaptive, sense, adapt):
     least = math.inf
     for k in range(N_PLANTS):
         least = min(least, abs(plant.position_m[k] - z))
-    if not least < MAX_MODEL_ERROR_M:
+    if not least < axis_model.MAX_MODEL_ERROR_M:
         suspend_preview(adaptive.preview, t + SUSPENSION_NS)
     if not least < RESET_ERROR_M:
         reset_axes(params, adaptive, t, z)
@@ -167,7 +165,7 @@ def update_plant(params, adaptive, sense, adapt):
     plant.axis_mps += VELOCITY_GAIN_HZ * e
     limit = params.plant_v_max_mps
     plant.axis_mps = min(max(plant.axis_mps, -limit), limit)
-    if not adapt or not least < MAX_MODEL_ERROR_M:
+    if not adapt or not least < axis_model.MAX_MODEL_ERROR_M:
         return
     for k in range(N_PLANTS):
         e = plant.position_m[k] - z

@@ -5,8 +5,7 @@ A model that may lead less has two: with its lead and without it (`estimation.se
 
 import math
 
-from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, PERIOD_S, step_axis
-from surffollow.forecast.plant.controller_clock import period_at
+from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.quantities import QUICK_RATE
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_AXES, N_MODELS, N_PERIODS
@@ -62,20 +61,20 @@ def propagate_shadows(params, adaptive, t_ns):
     if controller.periods == 0:
         return True
     if span > MAX_AXIS_GAP_NS:
-        slot = period_at(controller, t_ns) & (N_PERIODS - 1)
+        slot = controller_clock.period_at(controller, t_ns) & (N_PERIODS - 1)
         for i in range(N_AXES):
             shadow.position_m[i] = shadow.setpoint_m[slot * N_AXES + i]
             shadow.velocity_mps[i] = 0.0
         return True
-    steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
+    steps = min(max((span + axis_model.AXIS_STEP_NS - 1) // axis_model.AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
     dt = span * 1e-9 / steps
     tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
     for j in range(steps):
-        k = period_at(controller, from_ns + (span * j) // steps)
+        k = controller_clock.period_at(controller, from_ns + (span * j) // steps)
         first = (k & (N_PERIODS - 1)) * N_AXES
         for i in range(N_AXES):
             target = shadow.setpoint_m[first + i]
-            shadow.position_m[i], shadow.velocity_mps[i] = step_axis(
+            shadow.position_m[i], shadow.velocity_mps[i] = axis_model.step_axis(
                 tau, v_max, a_max, shadow.position_m[i], shadow.velocity_mps[i], target, dt
             )
     return True
@@ -88,7 +87,7 @@ def update_effort(adaptive):
     for i in range(N_MODELS):
         one_m, two_m = before_m[i], before_m[N_MODELS + i]
         if adaptive.controller.periods > 1:
-            accel = 1.0 / PERIOD_S**2 * (newest_m[i] - 2.0 * one_m + two_m)
+            accel = 1.0 / axis_model.PERIOD_S**2 * (newest_m[i] - 2.0 * one_m + two_m)
             shadow.effort[i] += QUICK_RATE * (min(accel * accel, MAX_EFFORT) - shadow.effort[i])
             shadow.log_effort[i] = math.log(shadow.effort[i] + 1.0)  # in (1 m/s²)²
         before_m[i], before_m[N_MODELS + i] = newest_m[i], one_m

@@ -11,8 +11,7 @@ import math
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import pose_at
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES, USUAL_SAMPLES
-from surffollow.forecast.sensing.clock import follow_usual
-from surffollow.forecast.sensing.kinematics import CLIMB_WINDOW_NS
+from surffollow.forecast.sensing import clock, kinematics
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
@@ -36,7 +35,7 @@ def reset_window(latency):
 @jit
 def update_delay(latency, delay_s, interval_s):
     """Update the usual and the least delay with that of a sample, at the usual interval [s]."""
-    latency.delay_s = follow_usual(latency.delay_s, delay_s)
+    latency.delay_s = clock.follow_usual(latency.delay_s, delay_s)
     least_s = min(latency.least_s, delay_s) if latency.least_s != 0.0 else delay_s
     latency.least_s = least_s + min(interval_s / LEAST_DELAY_S, 1.0) * (delay_s - least_s)
 
@@ -101,11 +100,12 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     latency = adaptive.latency
     near = latency.count == 0 or abs(h_m - latency.mean_height_m) <= OUTLIER_GATE_M
     if at_rest and near:
-        end_ns = min(t_ns + CLIMB_WINDOW_NS // 2, sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)])
-        pose_at(sense, end_ns - CLIMB_WINDOW_NS, 1, pose)
+        newest_ns = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+        end_ns = min(t_ns + kinematics.CLIMB_WINDOW_NS // 2, newest_ns)
+        pose_at(sense, end_ns - kinematics.CLIMB_WINDOW_NS, 1, pose)
         z = pose[2]
         pose_at(sense, end_ns, 1, pose)
-        climb = (pose[2] - z) / (1e-9 * CLIMB_WINDOW_NS)
+        climb = (pose[2] - z) / (1e-9 * kinematics.CLIMB_WINDOW_NS)
         latency.count += 1
         dc, dh = climb - latency.mean_climb_mps, h_m - latency.mean_height_m
         latency.mean_climb_mps += dc / latency.count

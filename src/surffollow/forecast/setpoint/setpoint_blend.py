@@ -2,10 +2,8 @@
 
 import math
 
-from surffollow.forecast.estimation.innovation_gate import is_slow, withheld_setpoint
-from surffollow.forecast.estimation.model_bank import WAVES, extrapolate_bank
-from surffollow.forecast.plant.controller_clock import begin_period
-from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
+from surffollow.forecast.estimation import innovation_gate, model_bank
+from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
     CONFIRMED_SAMPLES,
@@ -13,9 +11,7 @@ from surffollow.forecast.quantities import (
     PAUSE_NS,
     PLAUSIBLE_SLOPE,
 )
-from surffollow.forecast.sensing.health import dropout_tolerance_s
-from surffollow.forecast.sensing.measurement import has_turned_back
-from surffollow.forecast.sensing.unseen_ground import rise_rate
+from surffollow.forecast.sensing import health, measurement, unseen_ground
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
@@ -38,7 +34,7 @@ def dropout_s(adaptive):
     return (
         (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9
         - adaptive.latency.delay_s
-        - max(MISSING_NS * 1e-9, dropout_tolerance_s(adaptive.prediction))
+        - max(MISSING_NS * 1e-9, health.dropout_tolerance_s(adaptive.prediction))
     )
 
 
@@ -65,10 +61,10 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     float64 [m], float64
     """
     bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
-    extrapolate_bank(bank, ahead_m)
+    model_bank.extrapolate_bank(bank, ahead_m)
     margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + abs(lead_m))
     unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
-    if is_slow(adaptive):
+    if innovation_gate.is_slow(adaptive):
         unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
@@ -79,7 +75,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         growth = bank.slope_ahead[i] + (1.0 - left_out) * lead_m * bank.bend_ahead[i]
         growth = sign * math.copysign(max_slope, change) if abs(change) > margin else growth
         change, rise = min(max(change, -margin), margin), min(max(rise, -margin), margin)
-        fall = 1.0 - level_share if i < WAVES else 1.0
+        fall = 1.0 - level_share if i < model_bank.WAVES else 1.0
         growth *= fall if change < 0.0 else 1.0
         change *= fall if change < 0.0 else 1.0
         rise *= fall if rise < 0.0 else 1.0
@@ -120,8 +116,8 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     clock, kinematics, gate = adaptive.clock, adaptive.kinematics, adaptive.gate
     estimate, blend = adaptive.estimate, adaptive.blend
     dropout = dropout_s(adaptive)
-    turned = has_turned_back(adaptive)
-    ahead_m = ahead_m if turned else max(ahead_m - uncompared_m(adaptive), 0.0)
+    turned = measurement.has_turned_back(adaptive)
+    ahead_m = ahead_m if turned else max(ahead_m - shadow_axes.uncompared_m(adaptive), 0.0)
     lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(kinematics.speed_mps * dropout, max(ahead_m, 0.0))
@@ -144,8 +140,8 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     else:
         blend.tracked_m = z
     if due:
-        record_setpoints(adaptive)
-        begin_period(adaptive.controller, clock.now_ns)
+        shadow_axes.record_setpoints(adaptive)
+        controller_clock.begin_period(adaptive.controller, clock.now_ns)
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, slope * speed_mps, clock.now_ns
     blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
     return z
@@ -198,6 +194,8 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(params, adaptive.response, standoff_m)
     # ground that is not seen may rise as steeply as it did before
-    unseen = tool_z_m + rise_rate(adaptive) * (adaptive.plant.tau_s + age_s) if stuck else -math.inf
+    unseen = (
+        tool_z_m + unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s) if stuck else -math.inf
+    )
     tested = min(max(target_m, unseen, lowest), highest)
-    return max(tested, no_descent, withheld_setpoint(adaptive, standoff_m))
+    return max(tested, no_descent, innovation_gate.withheld_setpoint(adaptive, standoff_m))
