@@ -21,24 +21,8 @@ def sf_reset(params, state, offset_m):
     The pose history and the sensor windows are measurements, not forecast: they stay. So does
     the fold-back latch, which is safety.
     """
-    p = state[0].paper
     params[0].offset_m = offset_m
-    for c in range(layout.CHANNELS):
-        p.point_count[c] = 0
-    p.speed_pose = 0
-    p.interval_count = 0
-    p.rest_h_m = 0.0
-    p.range_prev_h_m = 0.0
-    p.range_gap_m = 0.0
-    p.slope = 0.0
-    p.speed_mps = 0.0
-    p.speed_t_ns = 0
-    p.reading_t_ns = 0
-    p.reading_m = 0.0
-    p.reading_z_m = 0.0
-    p.relayed = 0
-    p.relayed_m = 0.0
-    p.relayed_z_m = 0.0
+    reset.clear_record(state, reset.PAPER)
     reference_scales.choose_scales(params, state)
     reset.reset_surface(state[0].adaptive)
     state[0].stop_armed = 0
@@ -95,8 +79,7 @@ def clear_output(params, state, inputs, output):
     """
     output.t_ns = inputs.t_ns
     output.cycle = state.cycle
-    for i in range(6):
-        output.demand[i] = 0.0
+    output.demand[:] = 0.0
     output.fresh = 0
     output.delta_h_m = 0.0
     output.error_m = 0.0
@@ -250,8 +233,7 @@ def follow_step(params, state, inputs, output, scratch):
         o.status = (o.status & ~layout.VALID) | layout.DRYRUN
     elif p.run == layout.RUN_FREEZE:
         o.status = (o.status & ~layout.VALID) | layout.FROZEN
-        for k in range(6):
-            o.demand[k] = 0.0
+        o.demand[:] = 0.0
     s.cycle += 1
     if p.mode != layout.MODE_ADAPTIVE:
         report_paper(s.paper, o)
