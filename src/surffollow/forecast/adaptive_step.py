@@ -175,11 +175,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
         return health.forget(adaptive.health, layout_adaptive.FAULT_NOT_FINITE)
     status, state = layout.VALID, adaptive.health.state
-    if state in (
-        layout_adaptive.DROPOUT,
-        layout_adaptive.OUT_OF_RANGE,
-        layout_adaptive.STUCK,
-    ):
+    if state in (layout_adaptive.DROPOUT, layout_adaptive.OUT_OF_RANGE, layout_adaptive.STUCK):
         status |= layout.NO_SENSOR
     limited = fold_back.limit(demand, params.max_demand_m)
     if limited != demand:

@@ -8,7 +8,6 @@ reading to move with it (the true branch) beyond the exit distance.
 
 from surffollow.shm.jit import jit_inlined
 
-BRANCH_TEST_M = 0.002  # tool travel over which the sign of d(reading)/dz is judged
 PROBE_M = 0.001  # least demand away from the surface while the branch is in doubt
 
 
@@ -29,7 +28,7 @@ def watch_fold_back(params, fold, range_m, sensor_z_m):
             fold.close_range_m = range_m
         return
     rise = sensor_z_m - fold.close_z_m
-    if abs(rise) < BRANCH_TEST_M:
+    if abs(rise) < 0.002:  # too little to tell the branch by
         return
     change = range_m - fold.close_range_m
     if change * rise > 0.5 * rise * rise and range_m > params.too_close_exit_m:

@@ -24,11 +24,13 @@ def latch_stop(state, causes):
 
 
 @jit_inlined
-def causes_seen(params, state, output):
-    """Causes in this cycle's status and health: bits of `STOP_NAMES`.
+def apply_stop(params, state, output):
+    """Latch the causes that the configuration names; while stopped the demand is zero and not valid.
 
     A forecast that has not begun yet is without a reading, which is no loss.
     """
+    if output.status & layout.VALID:
+        state.stop_armed = 1
     causes = 0
     if output.status & layout.POSE_STALE:
         causes |= layout.STOP_POSE_STALE
@@ -38,18 +40,9 @@ def causes_seen(params, state, output):
         causes |= layout.STOP_TOO_CLOSE
     if params.mode == layout.MODE_ADAPTIVE and output.health == STUCK:
         causes |= layout.STOP_STUCK
-    return causes
-
-
-@jit_inlined
-def apply_stop(params, state, output):
-    """Latch the causes that the configuration names; while stopped the demand is zero and not valid."""
-    if output.status & layout.VALID:
-        state.stop_armed = 1
-    output.stop_now = causes_seen(params, state, output)
-    state.stop |= output.stop_now & params.stop_on
+    output.stop_now = causes
+    state.stop |= causes & params.stop_on
     output.stop = state.stop
     if state.stop != 0:
         output.status = (output.status & ~layout.VALID) | layout.STOPPED
-        for k in range(6):
-            output.demand[k] = 0.0
+        output.demand[:] = 0.0

@@ -11,8 +11,6 @@ from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE
 from surffollow.shm.jit import jit
 
 SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes, critically damped
-TRACK_LENGTH_M = 0.015  # memory of a beam's track in distance
-CURVATURE_RATE_HZ = 2.5  # of the mean of the curvature: 0.4 s
 
 
 @jit
@@ -104,7 +102,7 @@ def update_plane(params, adaptive, dt):
     if plane.rank == 2:
         plane.fitted_x, plane.fitted_y, plane.spread_m2 = plane.slope_x + ex, plane.slope_y + ey, spread_m2
         error = plane_regression.curvature_error(beams, plane, params.n_channels, mx, my, mh)
-        plane.curvature += min(CURVATURE_RATE_HZ * dt, 0.5) * error
+        plane.curvature += min(2.5 * dt, 0.5) * error  # a mean over 0.4 s
         rate_gain_hz = 0.25 * share * share / dt if dt > 0.0 else 0.0
         plane.slope_rate_x_hz += rate_gain_hz * ex
         plane.slope_rate_y_hz += rate_gain_hz * ey
@@ -130,7 +128,8 @@ def follow_track(adaptive, dt):
         return
     begins = plane.track_beam != c or dt == 0.0
     plane.track_beam = c
-    share = 1.0 if begins else 1.0 - math.exp(-adaptive.kinematics.speed_mps * dt / TRACK_LENGTH_M)
+    # a memory of 15 mm
+    share = 1.0 if begins else 1.0 - math.exp(-adaptive.kinematics.speed_mps * dt / 0.015)
     for i in range(3):
         track[i] += share * (beams.footprint_m[3 * c + i] - track[i])
     dx, dy = beams.footprint_m[3 * c] - track[0], beams.footprint_m[3 * c + 1] - track[1]

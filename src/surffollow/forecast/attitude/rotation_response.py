@@ -17,7 +17,6 @@ from surffollow.forecast.sensing import response
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 
-BAND_SIGMAS = 4.0  # of the mean: the deviation has changed
 FAR_TURN = 0.3  # of `max_tilt_rad`: beyond, a constant deviation is always tested
 
 
@@ -84,7 +83,8 @@ def observe_rotation(params, adaptive, t_ns, pose):
         return
     share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
     mean[0], mean[1] = mean[0] + share * (dx - mean[0]), mean[1] + share * (dy - mean[1])
-    band = BAND_SIGMAS * max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(share / plane.spread_m2)
+    # beyond four standard deviations of the mean the deviation has changed
+    band = 4.0 * max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(share / plane.spread_m2)
     factor = 1.0 if rotation.phase == ROTATION_RUN else response.TEST_BAND_FACTOR
     if math.hypot(mean[0] - run[0], mean[1] - run[1]) > factor * band:
         _begin_run(rotation, t_ns, axis)

@@ -12,7 +12,6 @@ from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
 SETTLING_NS = 60_000_000  # after a start or a loss the performance index waits until setpoints have acted
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
-SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
 
 @jit_inlined
@@ -55,7 +54,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     adapt : bool          False: the weights stay as they are, unless this is the first sample of all
     """
     gate, shadow, weights, estimate = adaptive.gate, adaptive.shadow, adaptive.weights, adaptive.estimate
-    fresh = gate.slot_likelihood == 0.0 and adaptive.noise.sigma_m == 0.0
+    fresh = gate.slot_likelihood == 0.0  # nothing is known, or it was discarded
     model_bank.reset_bank(adaptive.bank, h_m, noise.INITIAL_NOISE_M * noise.INITIAL_NOISE_M)
     shadow_axes.reset_shadows(shadow, t_ns, h_m + standoff_m)
     if fresh:
@@ -63,11 +62,10 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         setpoint_lead.reset_lead(adaptive.lead)
         shadow_axes.reset_effort(shadow)
         noise.initialise_noise(adaptive.noise)
-        innovation_gate.initialise_gate(gate)
     estimate.samples = 1
     if fresh or adapt:
         model_weights.update_weights(params, adaptive, math.inf)  # without their filter
-    innovation_gate.reset_gate(gate)
+    innovation_gate.reset_gate(gate, fresh)
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = t_ns
@@ -91,7 +89,6 @@ def restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt):
     """
     if adaptive.weights.scored <= adaptive.estimate.samples:
         innovation_gate.discard_slots(adaptive.gate)
-        noise.discard_noise(adaptive.noise)
     reset_estimate(params, adaptive, t_ns, 0.0, h_m, standoff_m, adapt)
 
 
@@ -188,7 +185,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     # the models follow too slowly
     if nearer_m > innovation_gate.INNER_GATE * innovation_gate.gate_width(params, gate):
         innovation_gate.withhold_sample(gate, nearer_m, rise, True)
-    share = 1.0 - math.exp(-travel / SLOPE_POWER_LENGTH_M)
+    share = 1.0 - math.exp(-travel / 1.0)  # a mean over a metre
     estimate.slope_power += share * (estimate.slope * estimate.slope - estimate.slope_power)
     if adaptive.weights.scored == 0:
         shadow_axes.reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)

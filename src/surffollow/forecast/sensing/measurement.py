@@ -47,9 +47,13 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     at_rest = adaptive.kinematics.speed_mps < kinematics.MIN_DIRECTION_SPEED_MPS
     if orients:
         x, y = pose[0], pose[1]
-        accepted, h = observe_plane(params, adaptive, output, t, pose)
+        accepted, h = plane_fit.plane_height(params, adaptive, t, x, y)
         if accepted == 0:
             return
+        rotation_response.observe_rotation(params, adaptive, t, pose)
+        for c in range(params.n_channels):
+            if adaptive.beams.accepted[c] == 0:  # excluded beams are not mapped
+                output.fresh &= ~(1 << c)
     elif at_rest or adaptive.latency.count > 0:
         latency_identification.observe_height(adaptive, sense, t, h, at_rest, adapt, pose)
         kinematics.predict_pose(adaptive.kinematics, sense, t, pose)  # the regression needs other poses
@@ -133,29 +137,6 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
     if was_stuck and responds:
         estimate.discard_estimate(adaptive.estimate)
     return responds, t_ns
-
-
-@jit
-def observe_plane(params, adaptive, output, t_ns, pose):
-    """Number of accepted beams and the height under the tool; excluded beams are not mapped.
-
-    Parameters
-    ----------
-    params, adaptive, output : records of `Params`, `AdaptiveState` (updated), `Output`
-    t_ns : int64         time of the sample
-    pose : (7,) float64  pose at that time
-
-    Returns
-    -------
-    int64, float64 [m]
-    """
-    accepted, h = plane_fit.plane_height(params, adaptive, t_ns, pose[0], pose[1])
-    if accepted > 0:
-        rotation_response.observe_rotation(params, adaptive, t_ns, pose)
-        for c in range(params.n_channels):
-            if adaptive.beams.accepted[c] == 0:
-                output.fresh &= ~(1 << c)
-    return accepted, h
 
 
 @jit_inlined

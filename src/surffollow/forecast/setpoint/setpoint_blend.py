@@ -2,27 +2,18 @@
 
 import math
 
+from surffollow.forecast import quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank
 from surffollow.forecast.plant import controller_clock, shadow_axes
-from surffollow.forecast.quantities import (
-    CONFIRMATION_SAMPLES,
-    CONFIRMED_SAMPLES,
-    MISSING_NS,
-    PAUSE_NS,
-    PLAUSIBLE_SLOPE,
-)
 from surffollow.forecast.sensing import health, measurement, unseen_ground
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
-UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer is taken back in a drop-out
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5  # in deadbands
-# a change of height is clamped to the plausible slope, or to so many RMS slopes of the last metre …
-SLOPE_LIMIT_RMS = 3.0
-HEIGHT_MARGIN_M = 1e-3  # … plus this
+HEIGHT_MARGIN_M = 1e-3  # of the change of height beyond what the steepest slope gives
 # of the travel since the newest sample of a slow sensor: valleys cost 17 instead of 3 mm of clearance with 0
 # (bench_hazards.py, "valley and slow"), a winch's error is 15 % greater with 1 (bench_scales.py)
 LEVEL_SHARE = 0.5
@@ -31,11 +22,8 @@ LEVEL_SHARE = 0.5
 @jit
 def dropout_s(adaptive):
     """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
-    return (
-        (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9
-        - adaptive.latency.delay_s
-        - max(MISSING_NS * 1e-9, health.dropout_tolerance_s(adaptive.prediction))
-    )
+    since_s = (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9 - adaptive.latency.delay_s
+    return since_s - max(quantities.MISSING_NS * 1e-9, health.dropout_tolerance_s(adaptive.prediction))
 
 
 @jit_inlined
@@ -127,13 +115,12 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     speed_mps = kinematics.speed_mps
     if turned:  # along the way of the newest sample
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
-    max_slope = max(PLAUSIBLE_SLOPE, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
+    # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre
+    max_slope = max(quantities.PLAUSIBLE_SLOPE, 3.0 * math.sqrt(estimate.slope_power))
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
-    recent = (
-        estimate.accepted_ns - gate.step_ns < UNCONFIRMED_STEP_NS
-        and gate.travel_since_step_m < params.step_travel_m
-    )
-    if dropout > 0.0 and gate.step_m < 0.0 and recent:
+    # a fall that samples have followed for 150 ms, or over this travel, is no slot
+    recent = estimate.accepted_ns - gate.step_ns < 150_000_000
+    if dropout > 0.0 and gate.step_m < 0.0 and recent and gate.travel_since_step_m < params.step_travel_m:
         z -= gate.step_m
     if dropout > 0.0 and estimate.samples > 1:
         z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)
@@ -159,7 +146,7 @@ def filter_setpoint(params, adaptive, target_m):
     if dt == 0.0:
         return blend.filtered_m
     blend.filtered_ns = clock.now_ns
-    if not 0.0 < dt < PAUSE_NS * 1e-9:
+    if not 0.0 < dt < quantities.PAUSE_NS * 1e-9:
         blend.filtered_m = target_m
         return target_m
     blend.filtered_m += blend.rate_mps * dt
@@ -189,8 +176,8 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
     if estimate.accepted_ns < kinematics.jump_ns <= adaptive.clock.now_ns:
         return tool_z_m  # heights are in the frame before the jump
-    few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
-    hardly_known = few or estimate.samples < CONFIRMATION_SAMPLES
+    few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
+    hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(params, adaptive.response, standoff_m)
     # ground that is not seen may rise as steeply as it did before

@@ -12,8 +12,6 @@ from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of the axis
 PREDICTION_M = 0.04  # over which predictions by the bank are compared; farther on they end
-REVERSION = 1.5  # toward the recent mean, per share of the error of predictions
-SHARE_RATE = 0.15  # per controller period: preview fades in and out
 
 
 @jit
@@ -67,7 +65,7 @@ def extrapolate_ground(adaptive, known, ahead_m):
     last, end_m = ground[known - 1], ahead_m + step * (known - 1)
     before = bank_rise(adaptive, end_m)
     noise_m2 = max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2
-    reversion = REVERSION * preview.error_m2 / (preview.error_m2 + preview.offset_m2 + noise_m2)
+    reversion = 1.5 * preview.error_m2 / (preview.error_m2 + preview.offset_m2 + noise_m2)
     for k in range(known, HORIZON):
         x = step * (k + 1 - known)
         if x > 2.0 * PREDICTION_M:
@@ -115,7 +113,7 @@ def update_share(adaptive, known, plant_m2):
     preview, leads = adaptive.preview, terrain_buffer.sensor_leads(adaptive)
     trusted = leads or adaptive.clock.now_ns >= preview.suspended_until_ns
     usable = known >= MIN_KNOWN_PERIODS and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
-    preview.share += SHARE_RATE if usable else -SHARE_RATE
+    preview.share += 0.15 if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0
 
