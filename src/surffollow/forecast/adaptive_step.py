@@ -53,13 +53,13 @@ def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     -------
     float64 [m], bool
     """
-    clock, blend = adaptive.clock, adaptive.blend
+    blend, now_ns = adaptive.blend, adaptive.clock.now_ns
     call_s = preview.plan_call_s(adaptive)
-    due = controller_clock.period_is_due(adaptive.controller, call_s, inputs.n_ranges, clock.now_ns)
+    due = controller_clock.period_is_due(adaptive.controller, call_s, inputs.n_ranges, now_ns)
     if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
         target = setpoint_blend.blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
     else:
-        target = blend.setpoint_m + blend.rate_mps * (clock.now_ns - blend.t_ns) * 1e-9
+        target = blend.setpoint_m + blend.rate_mps * (now_ns - blend.t_ns) * 1e-9
     return target, due
 
 
@@ -74,12 +74,12 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     ahead_m : float64     distance from `distance_ahead` [m]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    clock, kinematics, controller = adaptive.clock, adaptive.kinematics, adaptive.controller
-    controller_clock.open_period(controller, inputs.n_ranges, clock.now_ns)
-    latch_ns = controller_clock.latch_time(controller, inputs.n_ranges, clock.now_ns)
-    since_pose_m = kinematics.speed_mps * (latch_ns - pose_t_ns) * 1e-9
+    motion, controller, now_ns = adaptive.kinematics, adaptive.controller, adaptive.clock.now_ns
+    controller_clock.open_period(controller, inputs.n_ranges, now_ns)
+    latch_ns = controller_clock.latch_time(controller, inputs.n_ranges, now_ns)
+    since_pose_m = motion.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = controller_clock.mean_wait_s(params, controller)
-    ahead_m += kinematics.speed_mps * ((latch_ns - clock.now_ns) * 1e-9 - wait_s)
+    ahead_m += motion.speed_mps * ((latch_ns - now_ns) * 1e-9 - wait_s)
     known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
     preview.update_share(adaptive, known, plant_identification.model_error(adaptive.plant))
     if known >= preview.MIN_KNOWN_PERIODS:
@@ -101,18 +101,18 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
     target_m : float64    blended setpoint [m]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    preview = adaptive.preview
-    if preview.sensed_periods >= 2:
+    ahead = adaptive.preview
+    if ahead.sensed_periods >= 2:
         fastest = params.plant_v_max_mps  # an edge of the ground is no rate that an axis can follow
-        rate = min(max((preview.ground_m[1] - preview.ground_m[0]) / axis_model.PERIOD_S, -fastest), fastest)
+        rate = min(max((ahead.ground_m[1] - ahead.ground_m[0]) / axis_model.PERIOD_S, -fastest), fastest)
         lead_s = adaptive.plant.tau_s + controller_clock.mean_wait_s(params, adaptive.controller)
-        target_m = preview.ground_m[0] + rate * lead_s + standoff_m
+        target_m = ahead.ground_m[0] + rate * lead_s + standoff_m
     target_m = setpoint_blend.filter_setpoint(params, adaptive, target_m)
     target_m += tested_setpoint.setpoint_shift_m(adaptive.response)
     planned = adaptive.plan.setpoint_m
-    if preview.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
+    if ahead.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
         planned = max(planned, known_ground.lowest_plan(adaptive.known, target_m))
-    target_m += preview.share * (planned - target_m)
+    target_m += ahead.share * (planned - target_m)
     return target_m
 
 
@@ -201,7 +201,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
 @jit_inlined
 def publish_estimate(params, adaptive, output):
     """Publish estimate, health and adapted parameters."""
-    motion, health, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
+    motion, found, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
     noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m
     adaptation.publish_adaptation(params, adaptive, output)
     output.height_m, output.speed_mps = estimate.height_m, motion.speed_mps
@@ -209,7 +209,7 @@ def publish_estimate(params, adaptive, output):
     output.slope = estimate.slope if motion.speed_mps >= kinematics.MIN_DIRECTION_SPEED_MPS else 0.0
     output.intervals = estimate.samples
     attitude.publish_normal(adaptive, output)
-    output.health, output.reason, output.faults = health.state, health.reason, health.faults
+    output.health, output.reason, output.faults = found.state, found.reason, found.faults
     output.tau_s = adaptive.plant.tau_s
     output.sigma_m, output.noise_m, output.late_s = estimate.sigma_m, noise_m, adaptive.latency.delay_s
     output.roughness_m = math.sqrt(max(scale_m * scale_m - noise_m * noise_m, 0.0))

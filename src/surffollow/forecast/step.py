@@ -2,9 +2,10 @@
 
 import math
 
-from surffollow.forecast import adaptive_step, fold_back, reference_scales, reset, sense, stop
+from surffollow.forecast import adaptive_step, fold_back, reference_scales, reset, stop
 from surffollow.forecast.paper import extrapolation
 from surffollow.forecast.pose import footprint, pose_at
+from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing import latency_identification, sample_hold
 from surffollow.shm import layout_follow as layout
 from surffollow.shm.jit import jit, jit_inlined
@@ -118,7 +119,7 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
         extrapolation.note_place(p, state.sense)
     output.delta_h_m, output.error_m = delta_h, error
     status = layout.VALID
-    if fresh == 0 and (state.sense.valid[0] == 0 or sense.is_absent(params, t_ns - p.reading_t_ns)):
+    if fresh == 0 and (state.sense.valid[0] == 0 or is_absent(params, t_ns - p.reading_t_ns)):
         status |= layout.NO_SENSOR
     demand_m = delta_h + error
     limited_m = fold_back.limit(demand_m, params.max_demand_m)
@@ -203,11 +204,11 @@ def follow_step(params, state, inputs, output, scratch):
     No clock, allocation or exception; the same inputs give the same bits. Paper §3.3.3.
     """
     p, s, i, o = params[0], state[0], inputs[0], output[0]
-    sense.take_poses(s.sense, i)
+    take_poses(s.sense, i)
     if i.n_ranges > 0:
-        sense.take_ranges(p, s.sense, i)
+        take_ranges(p, s.sense, i)
     else:
-        sense.take_conversions(p, s.sense, i)
+        take_conversions(p, s.sense, i)
     clear_output(p, s, i, o)
     ready = False
     n = s.sense.pose_count

@@ -151,21 +151,21 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
     orients : bool       as in `process_sample`
     pose : (7,) float64  pose at that time
     """
-    motion, estimate, sample = adaptive.kinematics, adaptive.estimate, adaptive.sample
+    motion, sample, known = adaptive.kinematics, adaptive.sample, adaptive.estimate.samples > 0
     sample.tip_x_m = sample.tip_y_m = 0.0
     if not orients:
         sample.tip_x_m, sample.tip_y_m, _ = standoff.axis_ground_point(params, pose, 0)
     if motion.speed_mps >= kinematics.MIN_DIRECTION_SPEED_MPS:
         gap_x, gap_y = x_m - pose[0] - sample.tip_x_m, y_m - pose[1] - sample.tip_y_m
         lead = kinematics.distance_along(motion, gap_x, gap_y)
-        sample.lead_m = clock.follow_usual(sample.lead_m if estimate.samples > 0 else 0.0, lead)
-    travel = motion.speed_mps * (t_ns - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
+        sample.lead_m = clock.follow_usual(sample.lead_m if known else 0.0, lead)
+    travel = motion.speed_mps * (t_ns - adaptive.estimate.sample_ns) * 1e-9 if known else 0.0
     # the tool of a slow sensor may have turned since the sample before
-    if estimate.samples > 0 and innovation_gate.is_slow(adaptive):
+    if known and innovation_gate.is_slow(adaptive):
         travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
     sample.spacing_m = clock.follow_usual(sample.spacing_m, travel)
-    sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, estimate.arc_length_m + travel
+    sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, adaptive.estimate.arc_length_m + travel
     return travel
 
 

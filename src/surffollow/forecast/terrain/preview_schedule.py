@@ -72,7 +72,7 @@ def preview_window(params, state, inputs):
         unit vector of travel; piece of the path ahead of that point [m]
     """
     d, adaptive, sense, i = state[0].scaled, state[0].adaptive, state[0].sense, inputs[0]
-    kinematics, sample = adaptive.kinematics, adaptive.sample
+    motion, sample = adaptive.kinematics, adaptive.sample
     k = (max(sense.pose_count, 1) - 1) & (POSES - 1)
     pose_t_ns, x, y = sense.pose_t_ns[k], sense.pose[7 * k], sense.pose[7 * k + 1]
     if i.n_poses > 0:
@@ -84,7 +84,7 @@ def preview_window(params, state, inputs):
     due = preview_uses(p, adaptive, i, now_ns)
     if due == 0 or t_ns - pose_t_ns > p.pose_timeout_ns:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    v = kinematics.speed_mps
+    v = motion.speed_mps
     margin = v * axis_model.PERIOD_S + known_ground.REGISTRATION_M
     here = v * (now_ns - pose_t_ns) * 1e-9
     at = here - v * adaptive.latency.delay_s + sample.lead_m  # the sample
@@ -95,5 +95,5 @@ def preview_window(params, state, inputs):
         first = min(first, at)
     x += sample.tip_x_m * d.length
     y += sample.tip_y_m * d.length
-    ux, uy = kinematics.velocity_x_mps / v, kinematics.velocity_y_mps / v
+    ux, uy = motion.velocity_x_mps / v, motion.velocity_y_mps / v
     return due, x, y, ux, uy, (first - margin) * d.length, (last + margin) * d.length
