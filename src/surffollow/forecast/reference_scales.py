@@ -138,13 +138,17 @@ def scale_words(d, words, record, state, sign):
 
 @jit
 def scale_sense(d, sense, n_channels):
-    """Copy poses and samples to the dimensionless record."""
-    scaled, per_m = d.sense, 1.0 / d.length
-    scaled.pose_count = sense.pose_count
-    for k in range(min(sense.pose_count, layout.POSES)):
-        scaled.pose_t_ns[k] = dimensionless_time(d, sense.pose_t_ns[k])
-        for i in range(7 * k, 7 * k + 7):
-            scaled.pose[i] = sense.pose[i] * (per_m if i < 7 * k + 3 else 1.0)
+    """Copy poses and samples to the dimensionless record; poses back to one that is there already."""
+    scaled, per_m, n = d.sense, 1.0 / d.length, sense.pose_count
+    scaled.pose_count = n
+    for k in range(n - 1, max(0, n - layout.POSES) - 1, -1):
+        slot = k & (layout.POSES - 1)
+        t_ns = dimensionless_time(d, sense.pose_t_ns[slot])
+        if t_ns == scaled.pose_t_ns[slot]:
+            break
+        scaled.pose_t_ns[slot] = t_ns
+        for i in range(7):
+            scaled.pose[7 * slot + i] = sense.pose[7 * slot + i] * (per_m if i < 3 else 1.0)
     for k in range(n_channels * layout.CONVERSION_WINDOW):
         scaled.window_m[k] = sense.window_m[k] * per_m
         scaled.window_t_ns[k] = dimensionless_time(d, sense.window_t_ns[k])
