@@ -77,15 +77,15 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         )
     ],
     "likelihood of slots": [
-        ("innovation_gate", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3", "SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 1.0")
+        ("innovation_gate", "max(0.3 * gate.slot_likelihood", "max(1.0 * gate.slot_likelihood")
     ],
     "settling after a start or a loss": [("estimate", "SETTLING_NS = 60_000_000", "SETTLING_NS = 0")],
-    "clamp of the slope": [("setpoint_blend", "SLOPE_LIMIT_RMS = 3.0", "SLOPE_LIMIT_RMS = 1e6")],
+    "clamp of the slope": [("setpoint_blend", "3.0 * math.sqrt(estimate", "1e6 * math.sqrt(estimate")],
     "step taken back in a loss": [
         (
             "setpoint_blend",
-            "if dropout > 0.0 and gate.step_m < 0.0 and recent:",
-            "if dropout > 1e9 and recent:",
+            "if dropout > 0.0 and gate.step_m < 0.0 and recent and",
+            "if dropout > 1e9 and",
         )
     ],
     "extrapolation by the bank": [
@@ -95,7 +95,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "rise = 0.0 * before",
         )
     ],
-    "reversion to the mean": [("preview", "REVERSION = 1.5", "REVERSION = 0.0")],
+    "reversion to the mean": [("preview", "reversion = 1.5", "reversion = 0.0")],
     "bound of an early descent": [
         (
             "preview_control",
@@ -123,7 +123,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "return params.max_wait_s",
         )
     ],
-    "adaptive wave numbers": [("estimate", "        adapt_waves(bank, h_m, r, travel)", "        pass")],
+    "adaptive wave numbers": [("estimate", "model_bank.adapt_waves(bank, h_m, r, travel)", "pass")],
     "decaying slopes": [
         ("model_bank", "((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))", "((1e3, 0.0), (1e3, 0.0), (1e3, 0.0))")
     ],
@@ -145,7 +145,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.0",
         )
     ],
-    "more samples in a burst": [("innovation_gate", "BURST_TAUS = 0.25", "BURST_TAUS = 0.0")],
+    "more samples in a burst": [("innovation_gate", "int(0.25 * tau_s", "int(0.0 * tau_s")],
     "wider gate of sparse samples": [("innovation_gate", "PLAUSIBLE_SLOPE * travel_m", "0.0 * travel_m")],
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")

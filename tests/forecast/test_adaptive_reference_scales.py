@@ -8,7 +8,7 @@ import pytest
 from forecast.driving import Kernel, default_params
 from surffollow import Follower
 from surffollow.config.params import PARAMS
-from surffollow.forecast.reference_scales import EXPONENTS, scaled_defaults
+from surffollow.forecast.reference_scales import exponents, scaled_defaults
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, TOO_CLOSE, VALID, Output
 
 TICK_NS, READING_NS = 1 << 23, 1 << 22  # 8.4 and 4.2 ms: divisible by every factor tried
@@ -213,7 +213,7 @@ def test_every_published_quantity_scales_as_its_unit_says(length, power):
         if f.unit == "ns":
             a = np.array([[stretched(int(v), power) for v in np.ravel(row)] for row in a]).reshape(a.shape)
         elif f.code == "f8":
-            powers = (1, 0) if f.unit in ("m, rad", "m, 1") else EXPONENTS[f.unit]
+            powers = (1, 0) if f.unit in ("m, rad", "m, 1") else exponents(f.unit)
             a = a * length ** powers[0] * 2.0 ** (power * powers[1])
         if f.name == "demand":
             assert (a[:, 2] == b[:, 2]).all()

@@ -237,7 +237,7 @@ def naive_predictions(t_s, ranges_m, horizon_s, most=1.0):
     for k in range(1, len(t_s)):
         dt = t_s[k] - t_s[k - 1]
         interval += (dt - interval) / 20 if interval else dt
-        unit = max(interval, range_prediction.MIN_UNIT_S)
+        unit = max(interval, 0.16)
 
         def weight(duration_s, intervals, unit=unit):
             return 1.0 - math.exp(-duration_s / (intervals * unit))

@@ -8,33 +8,30 @@ reading to move with it (the true branch) beyond the exit distance.
 
 from surffollow.shm.jit import jit_inlined
 
-BRANCH_TEST_M = 0.002  # tool travel over which the sign of d(reading)/dz is judged
 PROBE_M = 0.001  # least demand away from the surface while the branch is in doubt
 
 
 @jit_inlined
-def watch_fold_back(fold, range_m, sensor_z_m, too_close_m, exit_m):
+def watch_fold_back(params, fold, range_m, sensor_z_m):
     """Latch or release TOO_CLOSE with one valid reading.
 
     Parameters
     ----------
-    fold : record of `FoldBackState`  updated
-    range_m : float64      the reading [m]
-    sensor_z_m : float64   height of the sensor then, world frame [m]
-    too_close_m : float64  nearer readings latch [m]
-    exit_m : float64       only readings beyond this release [m]
+    params, fold : records of `Params`, `FoldBackState` (updated)
+    range_m : float64     the reading [m]; nearer ones than `too_close_m` latch
+    sensor_z_m : float64  height of the sensor then, world frame [m]
     """
     if fold.close == 0:
-        if range_m < too_close_m:
+        if range_m < params.too_close_m:
             fold.close = 1
             fold.close_z_m = sensor_z_m
             fold.close_range_m = range_m
         return
     rise = sensor_z_m - fold.close_z_m
-    if abs(rise) < BRANCH_TEST_M:
+    if abs(rise) < 0.002:  # too little to tell the branch by
         return
     change = range_m - fold.close_range_m
-    if change * rise > 0.5 * rise * rise and range_m > exit_m:
+    if change * rise > 0.5 * rise * rise and range_m > params.too_close_exit_m:
         fold.close = 0
     fold.close_z_m = sensor_z_m
     fold.close_range_m = range_m

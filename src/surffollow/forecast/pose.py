@@ -30,11 +30,7 @@ def rotate(qx, qy, qz, qw, x, y, z):
     tx = qy * z - qz * y + qw * x
     ty = qz * x - qx * z + qw * y
     tz = qx * y - qy * x + qw * z
-    return (
-        x + 2.0 * (qy * tz - qz * ty),
-        y + 2.0 * (qz * tx - qx * tz),
-        z + 2.0 * (qx * ty - qy * tx),
-    )
+    return x + 2.0 * (qy * tz - qz * ty), y + 2.0 * (qz * tx - qx * tz), z + 2.0 * (qx * ty - qy * tx)
 
 
 @jit

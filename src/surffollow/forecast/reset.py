@@ -10,7 +10,18 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import DROPOUT, REASON_NO_READING
 from surffollow.shm.layout_follow import FollowState
 
-_ADAPTIVE_AT, _ADAPTIVE_WORDS = FollowState.offset("adaptive"), FollowState.field("adaptive").size // 8
+# where the records are in `FollowState` that resets clear, and their number of words
+ADAPTIVE, PAPER, SCALED = (
+    (FollowState.offset(name), FollowState.field(name).size // 8) for name in ("adaptive", "paper", "scaled")
+)
+
+
+@jit
+def clear_record(state, place):
+    """Set a record of (1,) `FollowState` to zero."""
+    first, words = place
+    for k in range(words):
+        at.store_relaxed_i64(state.ctypes.data + first + 8 * k, 0)
 
 
 @jit
@@ -22,10 +33,9 @@ def begin_anew(state, fault):
     state : (1,) record of `FollowState`
     fault : int64  latched besides; 0: none
     """
-    health, address = state[0].adaptive.health, state.ctypes.data + _ADAPTIVE_AT
+    health = state[0].adaptive.health
     faults = health.faults | fault
-    for k in range(_ADAPTIVE_WORDS):
-        at.store_relaxed_i64(address + 8 * k, 0)
+    clear_record(state, ADAPTIVE)
     health.faults, health.state, health.reason = faults, DROPOUT, REASON_NO_READING
 
 

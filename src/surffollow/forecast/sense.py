@@ -1,24 +1,15 @@
 """From conversions to distances: the first step of a cycle (paper §3.2.1)."""
 
 from surffollow.forecast.pose import push_pose
-from surffollow.shm.conversion import (
-    FLAG_INVALID,
-    conversion_channel,
-    conversion_counts,
-    conversion_dt_ns,
-    conversion_flags,
-)
+from surffollow.shm import conversion
 from surffollow.shm.jit import jit_inlined
-from surffollow.shm.layout_follow import CHANNELS, CONVERSION_WINDOW, MODE_ADAPTIVE
-
-ABSENT_TAU = 0.25  # a reading older than this share of τ is absent: 10 ms at 40 ms
-SPACING_GROWTH = 8  # a few losses between lone readings do not make a slow sensor
+from surffollow.shm.layout_follow import CONVERSION_WINDOW, MODE_ADAPTIVE
 
 
 @jit_inlined
 def is_absent(params, age_ns):
-    """Whether a reading of this age is absent, at any cycle rate."""
-    return age_ns > ABSENT_TAU * 1e9 * params.plant_tau_s
+    """Whether a reading of this age is absent, at any cycle rate: older than τ/4, 10 ms at 40 ms."""
+    return age_ns > 0.25 * 1e9 * params.plant_tau_s
 
 
 @jit_inlined
@@ -37,8 +28,8 @@ def note_spacing(sense, c, t_ns):
         gap_ns = t_ns - sense.seen_t_ns[c]
         if sense.spacing_ns[c] == 0 or gap_ns < sense.spacing_ns[c]:
             sense.spacing_ns[c] = max(gap_ns, 1)
-        else:
-            sense.spacing_ns[c] += (gap_ns - sense.spacing_ns[c]) // SPACING_GROWTH
+        else:  # a few losses between lone readings do not make a slow sensor
+            sense.spacing_ns[c] += (gap_ns - sense.spacing_ns[c]) // 8
     sense.seen_t_ns[c] = t_ns
 
 
@@ -46,7 +37,7 @@ def note_spacing(sense, c, t_ns):
 def push_sample(params, sense, c, t_ns, range_m):
     """Append a valid sample to the channel's window, which a gap before it empties.
 
-    A gap is longer than `ABSENT_TAU` and than twice the usual spacing of samples (a slow sensor has no
+    A gap is longer than τ/4 and than twice the usual spacing of samples (a slow sensor has no
     gaps), with a step in it that brought no sample (a slow cycle makes no gaps).
 
     Parameters
@@ -109,19 +100,18 @@ def take_conversions(params, sense, inputs):
     ----------
     params, sense, inputs : records of `Params`, `SenseState` (updated), `Inputs`
     """
-    for c in range(CHANNELS):
-        sense.fresh[c] = 0
+    sense.fresh[:] = 0
     for k in range(inputs.n_conversions):
         word = inputs.conversion[k]
-        c = conversion_channel(word)
+        c = conversion.conversion_channel(word)
         if c >= params.n_channels:
             continue
-        range_m = params.zero_m[c] + params.scale_m[c] * conversion_counts(word)
-        bad = (conversion_flags(word) & FLAG_INVALID) != 0
+        range_m = params.zero_m[c] + params.scale_m[c] * conversion.conversion_counts(word)
+        bad = (conversion.conversion_flags(word) & conversion.FLAG_INVALID) != 0
         if bad or not (params.range_min_m < range_m < params.range_max_m):
             lose_channel(sense, c)
         else:
-            push_sample(params, sense, c, inputs.t_ns + conversion_dt_ns(word), range_m)
+            push_sample(params, sense, c, inputs.t_ns + conversion.conversion_dt_ns(word), range_m)
     average_windows(params, sense, params.sensor_readings)
 
 
@@ -133,9 +123,8 @@ def take_ranges(params, sense, inputs):
     adaptive mode, which knows the noise, makes a reading of fewer ranges after a loss: a slow sensor that
     misses some would seldom give `sensor_readings` in a row.
     """
-    for c in range(CHANNELS):
-        sense.fresh[c] = 0
-        sense.valid[c] = 0
+    sense.fresh[:] = 0
+    sense.valid[:] = 0
     for c in range(min(inputs.n_ranges, params.n_channels)):
         range_m = inputs.given_m[c]
         if params.range_min_m < range_m < params.range_max_m:

@@ -2,41 +2,14 @@
 
 import math
 
-from surffollow.forecast.adaptive_step import compute_demand, publish_estimate
-from surffollow.forecast.fold_back import PROBE_M, limit, watch_fold_back
-from surffollow.forecast.paper.extrapolation import (
-    average_point,
-    distance_since_reading,
-    note_place,
-    paper_forecast,
-    paper_update,
-    relay,
-)
+from surffollow.forecast import adaptive_step, fold_back, reference_scales, reset, stop
+from surffollow.forecast.paper import extrapolation
 from surffollow.forecast.pose import footprint, pose_at
-from surffollow.forecast.reference_scales import choose_scales, is_unscaled, scale_inputs, unscale_outputs
-from surffollow.forecast.reset import begin_anew, reset_surface
 from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
-from surffollow.forecast.sensing.latency_identification import check_configured_latency
-from surffollow.forecast.sensing.sample_hold import reset_hold
-from surffollow.forecast.stop import apply_stop
+from surffollow.forecast.sensing import latency_identification, sample_hold
+from surffollow.shm import layout_follow as layout
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import DROPOUT, REASON_POSE
-from surffollow.shm.layout_follow import (
-    CHANNELS,
-    DRYRUN,
-    FROZEN,
-    LIMITED,
-    MODE_ADAPTIVE,
-    NO_POSE,
-    NO_SENSOR,
-    POSE_STALE,
-    POSES,
-    RUN_DRYRUN,
-    RUN_FREEZE,
-    SENSOR_LOST,
-    TOO_CLOSE,
-    VALID,
-)
 
 # `forceinline` on what runs per channel or conversion: numba hands an array over as seven words and a
 # counted reference, which costs more than the arithmetic (tools/bench_cycle.py)
@@ -49,26 +22,10 @@ def sf_reset(params, state, offset_m):
     The pose history and the sensor windows are measurements, not forecast: they stay. So does
     the fold-back latch, which is safety.
     """
-    p = state[0].paper
     params[0].offset_m = offset_m
-    for c in range(CHANNELS):
-        p.point_count[c] = 0
-    p.speed_pose = 0
-    p.interval_count = 0
-    p.rest_h_m = 0.0
-    p.range_prev_h_m = 0.0
-    p.range_gap_m = 0.0
-    p.slope = 0.0
-    p.speed_mps = 0.0
-    p.speed_t_ns = 0
-    p.reading_t_ns = 0
-    p.reading_m = 0.0
-    p.reading_z_m = 0.0
-    p.relayed = 0
-    p.relayed_m = 0.0
-    p.relayed_z_m = 0.0
-    choose_scales(params, state)
-    reset_surface(state[0].adaptive)
+    reset.clear_record(state, reset.PAPER)
+    reference_scales.choose_scales(params, state)
+    reset.reset_surface(state[0].adaptive)
     state[0].stop_armed = 0
 
 
@@ -95,8 +52,8 @@ def find_targets(params, state, output, pose, interpolate):
     """
     sense = state.sense
     fresh, sensor_z = 0, 0.0
-    oldest_ns = sense.pose_t_ns[max(0, sense.pose_count - POSES) & (POSES - 1)]
-    newest_ns = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+    oldest_ns = sense.pose_t_ns[max(0, sense.pose_count - layout.POSES) & (layout.POSES - 1)]
+    newest_ns = sense.pose_t_ns[(sense.pose_count - 1) & (layout.POSES - 1)]
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             continue
@@ -109,7 +66,7 @@ def find_targets(params, state, output, pose, interpolate):
             sensor_z = height
         target = output.target_m[3 * c : 3 * c + 3]
         target[0], target[1], target[2] = x, y, z
-        average_point(params, state.paper, sense, c, pose_t_ns, target)
+        extrapolation.average_point(params, state.paper, sense, c, pose_t_ns, target)
         fresh |= 1 << c
     output.fresh = fresh
     return sensor_z
@@ -123,17 +80,16 @@ def clear_output(params, state, inputs, output):
     """
     output.t_ns = inputs.t_ns
     output.cycle = state.cycle
-    for i in range(6):
-        output.demand[i] = 0.0
+    output.demand[:] = 0.0
     output.fresh = 0
     output.delta_h_m = 0.0
     output.error_m = 0.0
-    for c in range(CHANNELS):
-        sense = state.sense
+    sense = state.sense
+    for c in range(layout.CHANNELS):
         age_ns = inputs.t_ns - params.sensor_latency_ns - sense.range_t_ns[c]
         current = sense.valid[c] != 0 and (sense.fresh[c] != 0 or age_ns <= params.loss_timeout_ns)
         output.range_m[c] = sense.range_m[c] if current else math.nan
-        output.range_t_ns[c] = state.sense.range_t_ns[c]
+        output.range_t_ns[c] = sense.range_t_ns[c]
 
 
 @jit_inlined
@@ -146,40 +102,40 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
     reading_z_m : float64  height of the sensor in the pose of a fresh reading [m]
     pose : (7,) float64    scratch
     """
-    p = state.paper
-    fresh = output.fresh & 1
-    range_m = state.sense.range_m[0]
-    sensor_z_m = reading_z_m
+    p, t_ns, range_m, fresh = state.paper, inputs.t_ns, state.sense.range_m[0], output.fresh & 1
+    sensor_z_m, farthest_m = reading_z_m, math.inf
     if fresh != 0:
-        paper_update(params, p, state.sense)
-        watch_fold_back(state.fold, range_m, reading_z_m, params.too_close_m, params.too_close_exit_m)
+        extrapolation.paper_update(params, p, state.sense)
+        fold_back.watch_fold_back(params, state.fold, range_m, reading_z_m)
+    else:
+        farthest_m = extrapolation.distance_since_reading(params, p, state.sense, t_ns)
     if fresh == 0 or params.pose_interpolate != 0:
-        pose_at(state.sense, inputs.t_ns, 0, pose)
+        pose_at(state.sense, t_ns, 0, pose)
         _, _, _, sensor_z_m = footprint(pose, params.tool_from_sensor, 0, 0.0)
-    max_distance_m = math.inf if fresh != 0 else distance_since_reading(params, p, state.sense, inputs.t_ns)
-    delta_h, error = paper_forecast(
-        params, p, inputs.t_ns, fresh, range_m, reading_z_m, sensor_z_m, max_distance_m
+    delta_h, error = extrapolation.paper_forecast(
+        params, p, t_ns, fresh, range_m, reading_z_m, sensor_z_m, farthest_m
     )
     if fresh != 0:
-        note_place(p, state.sense)
+        extrapolation.note_place(p, state.sense)
     output.delta_h_m, output.error_m = delta_h, error
-    status = VALID
-    if fresh == 0 and (state.sense.valid[0] == 0 or is_absent(params, inputs.t_ns - p.reading_t_ns)):
-        status |= NO_SENSOR
+    status = layout.VALID
+    if fresh == 0 and (state.sense.valid[0] == 0 or is_absent(params, t_ns - p.reading_t_ns)):
+        status |= layout.NO_SENSOR
     demand_m = delta_h + error
-    limited_m = limit(demand_m, params.max_demand_m)
+    limited_m = fold_back.limit(demand_m, params.max_demand_m)
     if limited_m != demand_m:
-        status |= LIMITED
+        status |= layout.LIMITED
     # once more: hysteresis keeps what was relayed, up to Permitted_Variance beyond the limit
-    dz = limit(relay(p, limited_m, sensor_z_m, params.permitted_variance_m), params.max_demand_m)
-    lost = p.reading_t_ns == 0 or inputs.t_ns - p.reading_t_ns > params.loss_timeout_ns
+    dz = extrapolation.relay(p, limited_m, sensor_z_m, params.permitted_variance_m)
+    dz = fold_back.limit(dz, params.max_demand_m)
+    lost = p.reading_t_ns == 0 or t_ns - p.reading_t_ns > params.loss_timeout_ns
     if lost:
-        status = (status & ~(VALID | LIMITED)) | SENSOR_LOST
+        status = (status & ~(layout.VALID | layout.LIMITED)) | layout.SENSOR_LOST
         dz = 0.0
     if state.fold.close != 0:
-        status |= TOO_CLOSE
+        status |= layout.TOO_CLOSE
         if not lost:
-            dz = max(dz, min(PROBE_M, params.max_demand_m))
+            dz = max(dz, min(fold_back.PROBE_M, params.max_demand_m))
     output.demand[2] = dz
     return status
 
@@ -201,13 +157,13 @@ def adaptive_cycle(params, state, sense, fold, inputs, output, pose, ready):
         Status bits.
     """
     adaptive, status = state[0].adaptive, 0
-    if check_configured_latency(params, adaptive.latency):
-        reset_hold(adaptive.hold)
+    if latency_identification.check_configured_latency(params, adaptive.latency):
+        sample_hold.reset_hold(adaptive.hold)
     if ready:
-        status = compute_demand(params, adaptive, sense, fold, inputs, output, pose)
+        status = adaptive_step.compute_demand(params, adaptive, sense, fold, inputs, output, pose)
     if adaptive.health.forget != 0:
-        begin_anew(state, adaptive.health.forget)
-    publish_estimate(params, adaptive, output)
+        reset.begin_anew(state, adaptive.health.forget)
+    adaptive_step.publish_estimate(params, adaptive, output)
     if not ready:
         output.health, output.reason = DROPOUT, REASON_POSE
     return status
@@ -222,12 +178,12 @@ def scaled_adaptive_cycle(params, state, inputs, output, pose, ready):
     s = state[0]
     d = s.scaled
     if d.length == 0.0:
-        choose_scales(params, state)
-    if is_unscaled(d):
+        reference_scales.choose_scales(params, state)
+    if reference_scales.is_unscaled(d):
         return adaptive_cycle(params[0], state, s.sense, s.fold, inputs[0], output[0], pose, ready)
-    scale_inputs(params, state, inputs, output)
+    reference_scales.scale_inputs(params, state, inputs, output)
     status = adaptive_cycle(d.params, state, d.sense, d.fold, d.inputs, d.output, pose, ready)
-    unscale_outputs(state, output)
+    reference_scales.unscale_outputs(state, output)
     return status
 
 
@@ -258,32 +214,31 @@ def follow_step(params, state, inputs, output, scratch):
     n = s.sense.pose_count
     if n == 0:
         o.pose_t_ns = 0
-        o.status = NO_POSE
+        o.status = layout.NO_POSE
     else:
-        o.pose_t_ns = s.sense.pose_t_ns[(n - 1) & (POSES - 1)]
+        o.pose_t_ns = s.sense.pose_t_ns[(n - 1) & (layout.POSES - 1)]
         # a pose from a future as far away says as little about now as an old one
         if abs(i.t_ns - o.pose_t_ns) > p.pose_timeout_ns:
-            o.status = POSE_STALE
-            for c in range(CHANNELS):
+            o.status = layout.POSE_STALE
+            for c in range(layout.CHANNELS):
                 s.sense.losses[c] += 1  # readings without a pose are as good as lost
-        elif p.mode == MODE_ADAPTIVE:
+        elif p.mode == layout.MODE_ADAPTIVE:
             find_targets(p, s, o, scratch, 1)
             o.status, ready = 0, True
         else:
             sensor_z = find_targets(p, s, o, scratch, p.pose_interpolate)
             o.status = demand_z(p, s, i, o, sensor_z, scratch)
-    if p.mode == MODE_ADAPTIVE:
+    if p.mode == layout.MODE_ADAPTIVE:
         o.status |= scaled_adaptive_cycle(params, state, inputs, output, scratch, ready)
-    if p.run == RUN_DRYRUN:
-        o.status = (o.status & ~VALID) | DRYRUN
-    elif p.run == RUN_FREEZE:
-        o.status = (o.status & ~VALID) | FROZEN
-        for k in range(6):
-            o.demand[k] = 0.0
+    if p.run == layout.RUN_DRYRUN:
+        o.status = (o.status & ~layout.VALID) | layout.DRYRUN
+    elif p.run == layout.RUN_FREEZE:
+        o.status = (o.status & ~layout.VALID) | layout.FROZEN
+        o.demand[:] = 0.0
     s.cycle += 1
-    if p.mode != MODE_ADAPTIVE:
+    if p.mode != layout.MODE_ADAPTIVE:
         report_paper(s.paper, o)
-    apply_stop(p, s, o)
+    stop.apply_stop(p, s, o)
 
 
 @jit_inlined

@@ -6,20 +6,9 @@ Causes from outside (requests, a driver's fault, a holder that died) come in thr
 service logs as a STOP entry; causes in the cycle's own status come from `Params.stop_on`. Both are replayed.
 """
 
+from surffollow.shm import layout_follow as layout
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import STUCK
-from surffollow.shm.layout_follow import (
-    MODE_ADAPTIVE,
-    POSE_STALE,
-    SENSOR_LOST,
-    STOP_POSE_STALE,
-    STOP_SENSOR_LOST,
-    STOP_STUCK,
-    STOP_TOO_CLOSE,
-    STOPPED,
-    TOO_CLOSE,
-    VALID,
-)
 
 
 @jit
@@ -35,32 +24,25 @@ def latch_stop(state, causes):
 
 
 @jit_inlined
-def causes_seen(params, state, output):
-    """Causes in this cycle's status and health: bits of `STOP_NAMES`.
+def apply_stop(params, state, output):
+    """Latch the causes that the configuration names; while stopped the demand is zero and not valid.
 
     A forecast that has not begun yet is without a reading, which is no loss.
     """
-    causes = 0
-    if output.status & POSE_STALE:
-        causes |= STOP_POSE_STALE
-    if output.status & SENSOR_LOST and state.stop_armed != 0:
-        causes |= STOP_SENSOR_LOST
-    if output.status & TOO_CLOSE:
-        causes |= STOP_TOO_CLOSE
-    if params.mode == MODE_ADAPTIVE and output.health == STUCK:
-        causes |= STOP_STUCK
-    return causes
-
-
-@jit_inlined
-def apply_stop(params, state, output):
-    """Latch the causes that the configuration names; while stopped the demand is zero and not valid."""
-    if output.status & VALID:
+    if output.status & layout.VALID:
         state.stop_armed = 1
-    output.stop_now = causes_seen(params, state, output)
-    state.stop |= output.stop_now & params.stop_on
+    causes = 0
+    if output.status & layout.POSE_STALE:
+        causes |= layout.STOP_POSE_STALE
+    if output.status & layout.SENSOR_LOST and state.stop_armed != 0:
+        causes |= layout.STOP_SENSOR_LOST
+    if output.status & layout.TOO_CLOSE:
+        causes |= layout.STOP_TOO_CLOSE
+    if params.mode == layout.MODE_ADAPTIVE and output.health == STUCK:
+        causes |= layout.STOP_STUCK
+    output.stop_now = causes
+    state.stop |= causes & params.stop_on
     output.stop = state.stop
     if state.stop != 0:
-        output.status = (output.status & ~VALID) | STOPPED
-        for k in range(6):
-            output.demand[k] = 0.0
+        output.status = (output.status & ~layout.VALID) | layout.STOPPED
+        output.demand[:] = 0.0

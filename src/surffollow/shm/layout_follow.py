@@ -17,7 +17,6 @@ POSES = 256  # history for interpolation: 256 ms at the fastest pose rate of 1 k
 POINTS = 64  # the most EE_Readings may ask for
 INTERVALS = 1024  # the interval ring; 2 * Range_Size must fit
 MAX_CONVERSIONS = 64  # taken per cycle; older ones than these could not matter
-SCALED_UNITS = 16  # different powers of length and time among the units of `Params` and `Output`
 MAX_PREVIEW = 128  # remembered heights per cycle
 MAX_POSES = 4  # new poses taken per cycle
 
@@ -256,8 +255,6 @@ class ScaledState(Schema):
     length = F64(doc="reference length as a multiple of the usual one, a power of two; 0: not chosen")
     time = F64(doc="reference time likewise")
     shift = I64(doc="its binary logarithm")
-    unit = F64(SCALED_UNITS, doc="SI value of a dimensionless 1, per kind of unit")
-    per_unit = F64(SCALED_UNITS, doc="their reciprocals")
     epoch_ns = I64(unit="ns", doc="epoch of dimensionless times; 0: not chosen, or times are as they are")
     params = Nested(Params)
     sense = Nested(SenseState)

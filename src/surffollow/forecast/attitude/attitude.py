@@ -93,13 +93,8 @@ def demand_rotation(params, adaptive, sense, output):
         release_attitude(attitude)  # afterwards it begins at the tool
         return
     elapsed_s = (now_ns - attitude.t_ns) * 1e-9
-    finite = math.isfinite(u[0] + u[1] + u[2])
-    if (
-        attitude.t_ns == 0
-        or jumped
-        or not finite
-        or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint)
-    ):
+    begins = attitude.t_ns == 0 or jumped or not math.isfinite(u[0] + u[1] + u[2])
+    if begins or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint):
         u[0], u[1], u[2], elapsed_s = tx, ty, tz, 0.0
         attitude.angular_velocity_radps[:] = 0.0
     if elapsed_s > 0.0:

@@ -6,15 +6,12 @@ beam, the track that the reference beam draws on the ground updates the slope al
 
 import math
 
-from surffollow.forecast.attitude.beam_detection import isolate_faults
-from surffollow.forecast.attitude.plane_regression import curvature_error, fit_plane
+from surffollow.forecast.attitude import beam_detection, plane_regression
 from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.shm.jit import jit
 
 SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes, critically damped
-TRACK_LENGTH_M = 0.015  # memory of a beam's track in distance
-CURVATURE_RATE_HZ = 2.5  # of the mean of the curvature: 0.4 s
 
 
 @jit
@@ -35,7 +32,7 @@ def plane_height(params, adaptive, t_ns, x_m, y_m):
     """
     plane = adaptive.plane
     dt = propagate_slopes(adaptive, t_ns)
-    accepted = isolate_faults(params, adaptive, t_ns, x_m, y_m)
+    accepted = beam_detection.isolate_faults(params, adaptive, t_ns, x_m, y_m)
     if accepted == 0:
         return 0, 0.0
     mx, my, mh = update_plane(params, adaptive, dt)
@@ -89,7 +86,7 @@ def update_plane(params, adaptive, dt):
     3 × float64 [m]
     """
     beams, plane = adaptive.beams, adaptive.plane
-    rank, mx, my, mh, ux, uy, along, across, spread_m2, _ = fit_plane(
+    rank, mx, my, mh, ux, uy, along, across, spread_m2, _ = plane_regression.fit_plane(
         beams, beams.weight, params.n_channels, plane.curvature, adaptive.noise.sigma_m
     )
     plane.rank = rank if beams.inconsistent == 0 else 0
@@ -99,8 +96,8 @@ def update_plane(params, adaptive, dt):
     share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
     if plane.rank == 2:
         plane.fitted_x, plane.fitted_y, plane.spread_m2 = plane.slope_x + ex, plane.slope_y + ey, spread_m2
-        error = curvature_error(beams, plane, params.n_channels, mx, my, mh)
-        plane.curvature += min(CURVATURE_RATE_HZ * dt, 0.5) * error
+        error = plane_regression.curvature_error(beams, plane, params.n_channels, mx, my, mh)
+        plane.curvature += min(2.5 * dt, 0.5) * error  # a mean over 0.4 s
         rate_gain_hz = 0.25 * share * share / dt if dt > 0.0 else 0.0
         plane.slope_rate_x_hz += rate_gain_hz * ex
         plane.slope_rate_y_hz += rate_gain_hz * ey
@@ -126,7 +123,8 @@ def follow_track(adaptive, dt):
         return
     begins = plane.track_beam != c or dt == 0.0
     plane.track_beam = c
-    share = 1.0 if begins else 1.0 - math.exp(-adaptive.kinematics.speed_mps * dt / TRACK_LENGTH_M)
+    # a memory of 15 mm
+    share = 1.0 if begins else 1.0 - math.exp(-adaptive.kinematics.speed_mps * dt / 0.015)
     for i in range(3):
         track[i] += share * (beams.footprint_m[3 * c + i] - track[i])
     dx, dy = beams.footprint_m[3 * c] - track[0], beams.footprint_m[3 * c + 1] - track[1]

@@ -5,7 +5,6 @@ import math
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.shm.jit import jit
 
-MIN_SPREAD_SIGMAS = 20.0  # of a reading: footprints nearer to each other give no slope
 MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their line
 
 
@@ -62,7 +61,8 @@ def fit_plane(beams, weights, n_channels, curvature, sigma_m):
     major = xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy
     minor = xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux
     along, across = (xh * ux + yh * uy) / major, (yh * ux - xh * uy) / minor
-    least_m2 = (MIN_SPREAD_SIGMAS * max(sigma_m, MIN_NOISE_M)) ** 2
+    # footprints nearer to each other than 20 standard deviations of a reading give no slope
+    least_m2 = (20.0 * max(sigma_m, MIN_NOISE_M)) ** 2
     rank = 1 if major > least_m2 else 0
     if minor > max(least_m2, MIN_CONDITION * (major + minor)):
         rank = 2

@@ -13,18 +13,11 @@ from surffollow.forecast.attitude.plane_fit import SLOPE_BANDWIDTH_RADPS
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between
 from surffollow.forecast.quantities import MISSING_NS
+from surffollow.forecast.sensing import response
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
-from surffollow.forecast.sensing.response import (
-    MIN_MEANS,
-    MOTION_BANDS,
-    RUN_SAMPLES,
-    TEST_BAND_FACTOR,
-    is_suspicious,
-)
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 
-BAND_SIGMAS = 4.0  # of the mean: the deviation has changed
 FAR_TURN = 0.3  # of `max_tilt_rad`: beyond, a constant deviation is always tested
 
 
@@ -91,30 +84,31 @@ def observe_rotation(params, adaptive, t_ns, pose):
         return
     share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
     mean[0], mean[1] = mean[0] + share * (dx - mean[0]), mean[1] + share * (dy - mean[1])
-    band = BAND_SIGMAS * max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(share / plane.spread_m2)
-    factor = 1.0 if rotation.phase == ROTATION_RUN else TEST_BAND_FACTOR
+    # beyond four standard deviations of the mean the deviation has changed
+    band = 4.0 * max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(share / plane.spread_m2)
+    factor = 1.0 if rotation.phase == ROTATION_RUN else response.TEST_BAND_FACTOR
     if math.hypot(mean[0] - run[0], mean[1] - run[1]) > factor * band:
         _begin_run(rotation, t_ns, axis)
         return
     u = rotation.run_axis if rotation.phase == ROTATION_RUN else rotation.test_axis
     _, _, _, turn = rotation_between(u[0], u[1], u[2], axis[0], axis[1], axis[2])
-    probe = MOTION_BANDS * band
+    probe = response.MOTION_BANDS * band
     if rotation.phase == ROTATION_RUN:
         rotation.samples += 1
-        if rotation.samples < RUN_SAMPLES:  # the mean of the run is the better known one
+        if rotation.samples < response.RUN_SAMPLES:  # the mean of the run is the better known one
             part = 1.0 / rotation.samples
             run[0], run[1] = run[0] + part * (mean[0] - run[0]), run[1] + part * (mean[1] - run[1])
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
         deviation = math.hypot(run[0], run[1])
-        wrong = is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
+        wrong = response.is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
         far = turn > FAR_TURN * params.max_tilt_rad
-        if rotation.samples * share > MIN_MEANS and turn > probe and (wrong or far):
+        if rotation.samples * share > response.MIN_MEANS and turn > probe and (wrong or far):
             rotation.phase, rotation.samples = ROTATION_TEST, 0
             for i in range(3):
                 rotation.test_axis[i] = axis[i] + probe / turn * (rotation.run_axis[i] - axis[i])
     elif rotation.phase == ROTATION_TEST and turn < 0.5 * probe:
         rotation.samples += 1
-        if rotation.samples * share > MIN_MEANS:
+        if rotation.samples * share > response.MIN_MEANS:
             rotation.phase = ROTATION_FAILED
 
 

@@ -7,15 +7,12 @@ is larger, it takes its place. Interval_Size and Range_Size in force follow from
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import INTERVALS
 
-MAX_PERMITTED_M = 2e-3  # uncertainty of the height raises Permitted_Variance no farther
-MIN_GAIN = 1e-4  # bounds the published Interval_Size
-
 
 @jit
 def update_deadband(params, adaptive):
     """Set Permitted_Variance in force and the deadband of the setpoint filter."""
-    estimate, adaptation = adaptive.estimate, adaptive.adaptation
-    adaptation.permitted_variance_m = max(params.permitted_variance_m, min(estimate.sigma_m, MAX_PERMITTED_M))
+    uncertain_m = min(adaptive.estimate.sigma_m, 2e-3)  # more uncertainty raises it no farther
+    adaptive.adaptation.permitted_variance_m = max(params.permitted_variance_m, uncertain_m)
 
 
 @jit
@@ -30,7 +27,7 @@ def publish_adaptation(params, adaptive, output):
     if estimate.samples == 0:
         output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
         return
-    samples = 2.0 / min(max(estimate.gain, MIN_GAIN), 1.0) - 1.0
+    samples = 2.0 / min(max(estimate.gain, 1e-4), 1.0) - 1.0  # a bound on what is published
     interval = max(min(params.interval_size_m, samples * sample.spacing_m), sample.spacing_m, 1e-6)
     output.interval_size_m = interval
     output.range_size = min(max(int(samples * sample.spacing_m / interval + 0.5), 1), INTERVALS // 2)

@@ -2,44 +2,8 @@
 
 import math
 
-from surffollow.forecast.estimation.innovation_gate import (
-    INNER_GATE,
-    accept_sample,
-    discard_slots,
-    gate_sample,
-    gate_width,
-    initialise_gate,
-    register_step,
-    reset_gate,
-    update_scale,
-    update_travel,
-    withhold_sample,
-)
-from surffollow.forecast.estimation.model_bank import (
-    adapt_waves,
-    propagate_bank,
-    reset_bank,
-    shift_bank,
-    turn_bank,
-    update_bank,
-)
-from surffollow.forecast.estimation.model_weights import reset_index, update_index, update_weights
-from surffollow.forecast.estimation.noise import (
-    INITIAL_NOISE_M,
-    MIN_NOISE_M,
-    discard_noise,
-    initialise_noise,
-    shift_heights,
-    update_noise,
-)
-from surffollow.forecast.estimation.setpoint_lead import reset_lead
-from surffollow.forecast.plant.shadow_axes import (
-    MIN_SPEED_MPS,
-    compared_lag_s,
-    propagate_shadows,
-    reset_effort,
-    reset_shadows,
-)
+from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights, noise, setpoint_lead
+from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.terrain.terrain_buffer import store_ground
@@ -48,7 +12,6 @@ from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
 SETTLING_NS = 60_000_000  # after a start or a loss the performance index waits until setpoints have acted
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
-SLOPE_POWER_LENGTH_M = 1.0  # over which the mean squared slope is taken
 
 
 @jit_inlined
@@ -74,7 +37,7 @@ def blend_models(adaptive):
         variance += weights.weight[i] * max(bank.p00[i], 0.0)
         spread += weights.weight[i] * e * e
     estimate.height_m, estimate.slope, estimate.sigma_m = h, s, math.sqrt(variance + spread)
-    estimate.gain = variance / max(adaptive.noise.sigma_m, MIN_NOISE_M) ** 2  # just after an update
+    estimate.gain = variance / max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2  # just after an update
 
 
 @jit
@@ -90,21 +53,19 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     standoff_m : float64  desired height of the tool above the ground [m]
     adapt : bool          False: the weights stay as they are, unless this is the first sample of all
     """
-    noise, gate, shadow, weights = adaptive.noise, adaptive.gate, adaptive.shadow, adaptive.weights
-    estimate = adaptive.estimate
-    fresh = gate.slot_likelihood == 0.0 and noise.sigma_m == 0.0
-    reset_bank(adaptive.bank, h_m, INITIAL_NOISE_M * INITIAL_NOISE_M)
-    reset_shadows(shadow, t_ns, h_m + standoff_m)
+    gate, shadow, weights, estimate = adaptive.gate, adaptive.shadow, adaptive.weights, adaptive.estimate
+    fresh = gate.slot_likelihood == 0.0  # nothing is known, or it was discarded
+    model_bank.reset_bank(adaptive.bank, h_m, noise.INITIAL_NOISE_M * noise.INITIAL_NOISE_M)
+    shadow_axes.reset_shadows(shadow, t_ns, h_m + standoff_m)
     if fresh:
-        reset_index(weights)
-        reset_lead(adaptive.lead)
-        reset_effort(shadow)
-        initialise_noise(noise)
-        initialise_gate(gate)
+        model_weights.reset_index(weights)
+        setpoint_lead.reset_lead(adaptive.lead)
+        shadow_axes.reset_effort(shadow)
+        noise.initialise_noise(adaptive.noise)
     estimate.samples = 1
     if fresh or adapt:
-        update_weights(params, adaptive, math.inf)  # without their filter
-    reset_gate(gate)
+        model_weights.update_weights(params, adaptive, math.inf)  # without their filter
+    innovation_gate.reset_gate(gate, fresh)
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = t_ns
@@ -127,8 +88,7 @@ def restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt):
     adapt : bool          as in `reset_estimate`
     """
     if adaptive.weights.scored <= adaptive.estimate.samples:
-        discard_slots(adaptive.gate)
-        discard_noise(adaptive.noise)
+        innovation_gate.discard_slots(adaptive.gate)
     reset_estimate(params, adaptive, t_ns, 0.0, h_m, standoff_m, adapt)
 
 
@@ -139,19 +99,19 @@ def confirm_step(params, adaptive):
     n = gate.pending
     s, h = gate.pending_arc_length_m / n, gate.pending_height_m / n
     before = estimate.height_m
-    shift_bank(adaptive.bank, h, estimate.arc_length_m - s)
+    model_bank.shift_bank(adaptive.bank, h, estimate.arc_length_m - s)
     blend_models(adaptive)
-    shift_heights(adaptive.noise, estimate.height_m - before)
+    noise.shift_heights(adaptive.noise, estimate.height_m - before)
     for k in range(max(0, n - PENDING_HEIGHTS), n - 1):
         slot = k & (PENDING_HEIGHTS - 1)
         store_ground(adaptive, gate.kept_arc_length_m[slot], gate.kept_height_m[slot])
-    register_step(params, gate, estimate.sample_ns)
+    innovation_gate.register_step(params, gate, estimate.sample_ns)
 
 
 @jit
 def turn_estimate(adaptive, cosine):
     """Turn the direction of travel by an angle of this cosine; −1: the tool goes back."""
-    turn_bank(adaptive.bank, cosine)
+    model_bank.turn_bank(adaptive.bank, cosine)
     adaptive.estimate.slope *= cosine
 
 
@@ -174,8 +134,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     standoff_m : float64     wanted height of the tool above the ground [m]
     adapt : bool             False: index, weights and noise stay as they are
     """
-    noise, gate, bank, estimate = adaptive.noise, adaptive.gate, adaptive.bank, adaptive.estimate
-    kinematics = adaptive.kinematics
+    gate, bank, estimate, kinematics = adaptive.gate, adaptive.bank, adaptive.estimate, adaptive.kinematics
     dt, since_accepted_ns = (t_ns - estimate.sample_ns) * 1e-9, t_ns - estimate.accepted_ns
     other_frame = estimate.accepted_ns < kinematics.climb_jump_ns and t_ns >= kinematics.jump_ns
     outdated = travel_m > MAX_TRAVEL_M or since_accepted_ns > params.loss_timeout_ns
@@ -183,25 +142,25 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
         return True
     gap = t_ns - estimate.sample_ns > max(PAUSE_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
-    travel = max(travel_m, MIN_SPEED_MPS * dt)
-    over_ns = t_ns - int(compared_lag_s(adaptive) * 1e9)
-    comparable = propagate_shadows(params, adaptive, over_ns)
+    travel = max(travel_m, shadow_axes.MIN_SPEED_MPS * dt)
+    over_ns = t_ns - int(shadow_axes.compared_lag_s(adaptive) * 1e9)
+    comparable = shadow_axes.propagate_shadows(params, adaptive, over_ns)
     estimate.sample_ns = t_ns
     estimate.arc_length_m += travel
-    propagate_bank(bank, travel)
+    model_bank.propagate_bank(bank, travel)
     estimate.height_m = blend_height(adaptive)
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
     steepest = (1.0 + max(-estimate.slope, 0.0)) * travel * (since_accepted_ns * 1e-9 / dt)
     rises_on = gate.nearer != 0 and innovation > 0.0
     rise = MAX_SLOPE * steepest if rises_on else steepest
-    update_travel(params, gate, travel)
-    enters, width = gate_sample(params, adaptive, innovation, travel, steepest, gap, rises_on)
+    innovation_gate.update_travel(params, gate, travel)
+    enters, width = innovation_gate.gate_sample(params, adaptive, innovation, travel, steepest, gap, rises_on)
     outside = abs(innovation) > width
     if not enters:
         if adapt and not outside and estimate.samples > 1:
-            update_scale(gate, innovation, width)  # frequent ones mean rough ground
-        withhold_sample(gate, innovation, rise, not outside)
+            innovation_gate.update_scale(gate, innovation, width)  # frequent ones mean rough ground
+        innovation_gate.withhold_sample(gate, innovation, rise, not outside)
         return False
     if outside and gate.pending > estimate.samples:
         restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
@@ -210,26 +169,26 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         confirm_step(params, adaptive)
         innovation = h_m - estimate.height_m
     else:
-        accept_sample(params, gate)
+        innovation_gate.accept_sample(params, gate)
     if adapt:
-        update_scale(gate, innovation, width)
+        innovation_gate.update_scale(gate, innovation, width)
         # setpoints are for the footprint, or for the ground ahead of it where the sensor trails
         if comparable and over_ns > estimate.settle_ns:
-            update_index(params, adaptive, travel, dt, h_m + standoff_m)
-        update_noise(adaptive, h_m)
-    r = max(noise.sigma_m, MIN_NOISE_M) ** 2
+            model_weights.update_index(params, adaptive, travel, dt, h_m + standoff_m)
+        noise.update_noise(adaptive, h_m)
+    r = max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2
     if adapt:
-        adapt_waves(bank, h_m, r, travel)
-    update_bank(bank, h_m, r)
+        model_bank.adapt_waves(bank, h_m, r, travel)
+    model_bank.update_bank(bank, h_m, r)
     blend_models(adaptive)
     nearer_m = h_m - estimate.height_m
-    if nearer_m > INNER_GATE * gate_width(params, gate):  # the models follow too slowly
-        withhold_sample(gate, nearer_m, rise, True)
-    estimate.slope_power += (1.0 - math.exp(-travel / SLOPE_POWER_LENGTH_M)) * (
-        estimate.slope * estimate.slope - estimate.slope_power
-    )
+    # the models follow too slowly
+    if nearer_m > innovation_gate.INNER_GATE * innovation_gate.gate_width(params, gate):
+        innovation_gate.withhold_sample(gate, nearer_m, rise, True)
+    share = 1.0 - math.exp(-travel / 1.0)  # a mean over a metre
+    estimate.slope_power += share * (estimate.slope * estimate.slope - estimate.slope_power)
     if adaptive.weights.scored == 0:
-        reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)
+        shadow_axes.reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)
     estimate.samples += 1
     estimate.accepted_ns = t_ns
     if estimate.samples >= CONFIRMATION_SAMPLES:

@@ -11,13 +11,9 @@ from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PLAU
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-PERMANENT_STEPS = 0.2  # likelihood of slots below which two samples confirm a step
-SLOT_DECAY, MIN_SLOT_LIKELIHOOD = 0.3, 0.01  # factor per step that stays; least value
-STANDING_CONFIRMATION_NS = 120_000_000  # agreeing samples over this time need no travel
 # two samples confirm a step where more of them take longer than so many time constants of the axis; where
 # the interval is longer than that, the tool rises before the second one
 CONFIRMATION_TAUS = 0.5
-BURST_TAUS = 0.25  # confirmation is delayed by no more of the axis' time constant
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and two pending ones do not agree
 
 
@@ -119,13 +115,13 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on
     gate.kept_arc_length_m[slot], gate.kept_height_m[slot] = estimate.arc_length_m, height_m
     # two samples are enough where steps have stayed, and where a third one comes late
     late = params.step_samples * interval_s > CONFIRMATION_TAUS * tau_s
-    two = late or gate.slot_likelihood < PERMANENT_STEPS
-    # in a burst of wrong readings some agree by chance
-    by_chance = min(gate.rejected, int(BURST_TAUS * tau_s / max(interval_s, 1e-6)))
+    two = late or gate.slot_likelihood < 0.2
+    # in a burst of wrong readings some agree by chance; they delay a step by no more than τ/4
+    by_chance = min(gate.rejected, int(0.25 * tau_s / max(interval_s, 1e-6)))
     need = (min(params.step_samples, 2) if two else params.step_samples) + by_chance - rises_on
-    # a step away from the tool may be a slot; with a bad start, and at rest, there is no travel
+    # a step away from the tool may be a slot; with a bad start, and at rest for 120 ms, there is no travel
     travelled = gate.pending_travel_m >= params.step_travel_m * gate.slot_likelihood
-    stood = estimate.sample_ns - gate.pending_ns >= STANDING_CONFIRMATION_NS
+    stood = estimate.sample_ns - gate.pending_ns >= 120_000_000
     is_step = innovation_m > 0.0 or travelled or stood or gate.pending > estimate.samples
     return gate.pending >= need and is_step
 
@@ -187,12 +183,10 @@ def gate_width(params, gate):
 @jit
 def update_travel(params, gate, travel_m):
     """Add the distance travelled since the last step; a step that stays lowers the likelihood of slots."""
-    if (
-        gate.travel_since_step_m < params.step_travel_m <= gate.travel_since_step_m + travel_m
-        and gate.step_m != 0.0
-    ):
-        gate.slot_likelihood = max(SLOT_DECAY * gate.slot_likelihood, MIN_SLOT_LIKELIHOOD)
+    before_m = gate.travel_since_step_m
     gate.travel_since_step_m += travel_m
+    if before_m < params.step_travel_m <= gate.travel_since_step_m and gate.step_m != 0.0:
+        gate.slot_likelihood = max(0.3 * gate.slot_likelihood, 0.01)
 
 
 @jit
@@ -224,15 +218,10 @@ def register_step(params, gate, t_ns):
 
 
 @jit
-def initialise_gate(gate):
-    """Assume the usual innovation and the likelihood of slots of a start without knowledge."""
-    gate.scale_m = 2.0 * INITIAL_NOISE_M
-    gate.slot_likelihood = 1.0
-
-
-@jit
-def reset_gate(gate):
-    """Drop pending samples and the last step; scale and likelihood of slots stay."""
+def reset_gate(gate, fresh):
+    """Drop pending samples and the last step; scale and likelihood of slots stay but in a fresh start."""
+    if fresh:
+        gate.scale_m, gate.slot_likelihood = 2.0 * INITIAL_NOISE_M, 1.0
     gate.pending = gate.rejected = gate.nearer = 0
     gate.unconfirmed_m = gate.withheld_m = 0.0
     gate.travel_since_step_m = gate.step_m = 0.0
@@ -241,5 +230,5 @@ def reset_gate(gate):
 
 @jit
 def discard_slots(gate):
-    """Mark the likelihood of slots as not known."""
+    """Mark the likelihood of slots as not known, and with it all that a fresh start assumes."""
     gate.slot_likelihood = 0.0

@@ -22,15 +22,13 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
 SLOPE, CURVE, WAVE = 0, 1, 2
-STRAIGHT_M = 1e3  # slopes that do not decay
 BAND = 2.0**0.25  # a wave number stays within this factor: waves are half an octave apart
-LOOP_SHARE = 0.25  # of the gain of the phase, in that of the wave number: the loop is critically damped …
-MAX_LOOP_SHARE = 1.0 / math.pi  # … and changes ω by no more per correction of the phase by 1 rad
 WAVE_VARIANCE_M2 = 1e-5  # of an amplitude at the start
 # rows of kind, scale, noise of slope, curvature or a wave's amplitude, noise of height
+# slopes that decay over 1 km do not decay
 BANK: Any = np.array(
-    [(SLOPE, STRAIGHT_M, 0.0, qh) for qh in (3e-5, 1e-3)]
-    + [(SLOPE, STRAIGHT_M, qs, 1e-5) for qs in (0.01, 0.05, 0.5, 2.0)]
+    [(SLOPE, 1e3, 0.0, qh) for qh in (3e-5, 1e-3)]
+    + [(SLOPE, 1e3, qs, 1e-5) for qs in (0.01, 0.05, 0.5, 2.0)]
     + [(SLOPE, length_m, qs, 1e-3) for length_m, qs in ((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))]
     + [(CURVE, 0.3, qc, 1e-5) for qc in (3.0, 20.0, 150.0)]
     + [(WAVE, 2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in 0.6 * BAND ** (-2.0 * np.arange(8))]
@@ -93,14 +91,8 @@ def propagate_bank(bank, d):
     compute_transition(bank, d)
     d2, d3 = 0.5 * d * d, d * d * d / 3.0
     for i in range(N_MODELS):
-        f01, f02, f11, f12, f21, f22 = (
-            bank.f01[i],
-            bank.f02[i],
-            bank.f11[i],
-            bank.f12[i],
-            bank.f21[i],
-            bank.f22[i],
-        )
+        f01, f11, f21 = bank.f01[i], bank.f11[i], bank.f21[i]
+        f02, f12, f22 = bank.f02[i], bank.f12[i], bank.f22[i]
         slope, curvature = bank.slope[i], bank.curvature[i]
         bank.height_m[i] += f01 * slope + f02 * curvature
         bank.slope[i], bank.curvature[i] = f11 * slope + f12 * curvature, f21 * slope + f22 * curvature
@@ -143,7 +135,7 @@ def adapt_waves(bank, h_m, variance_m2, d_m):
 
         δφ = (u δy − y δu) / (y² + u² + σ²),   and   δω = min(k / 4d, ω/π) δφ
 
-    after a distance d. An amplitude below the noise σ has no phase.
+    after a distance d: the loop is critically damped. An amplitude below the noise σ has no phase.
     """
     for i in range(WAVES, N_MODELS):
         w = bank.wave_number[i]
@@ -152,7 +144,7 @@ def adapt_waves(bank, h_m, variance_m2, d_m):
         sine, cosine = -bank.curvature[i] / (w * w), bank.slope[i] / w
         turn = -cosine * bank.p02[i] * v / (w * w) - sine * bank.p01[i] * v / w
         turn /= sine * sine + cosine * cosine + variance_m2
-        adapted = w + turn * min(LOOP_SHARE * bank.p00[i] * f / d_m, MAX_LOOP_SHARE * w)
+        adapted = w + turn * min(0.25 * bank.p00[i] * f / d_m, 1.0 / math.pi * w)
         adapted = min(max(adapted, SCALE[i] / BAND), SCALE[i] * BAND)
         bank.slope[i] *= adapted / w
         bank.curvature[i] *= (adapted / w) ** 2

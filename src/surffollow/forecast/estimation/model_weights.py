@@ -9,23 +9,17 @@ import math
 
 import numpy as np
 
-from surffollow.forecast.estimation.model_bank import KIND, SCALE, WAVES
-from surffollow.forecast.estimation.setpoint_lead import update_lead
+from surffollow.forecast.estimation import model_bank, setpoint_lead
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
-NOISE_MARGIN = 1.4  # mean squares up to so many noise variances are noise
 WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
-WEIGHT_INTERVAL_S = 0.005  # quicker sensors do not update the weights with each sample
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
-CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[KIND]
+CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[model_bank.KIND]
 # power of the effort: on rough ground the smoother of two equal models is better, and during
 # burn-in a model that follows the noise may fit by chance
 ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
-# phase of a wave between two samples: from π on it is an alias of a longer one
-MAX_WAVE_PHASE = 2.0 * math.pi / 3.0
-INITIAL_INDEX_M2 = 1e-6  # (1 mm)²: the same for all, so that it prefers none
 
 
 @jit
@@ -41,11 +35,10 @@ def update_index(params, adaptive, travel_m, dt_s, target_m):
     """
     weights, estimate = adaptive.weights, adaptive.estimate
     rate = travel_m / params.score_travel_m + dt_s / params.score_time_s
-    # after an initialisation the samples since then count
-    burn_in_rate = 1.0 / (
-        1.0
-        + (min(estimate.samples, weights.scored) if weights.scored < FULL_POWER_SAMPLES else estimate.samples)
-    )
+    samples = estimate.samples  # after an initialisation those since then count
+    if weights.scored < FULL_POWER_SAMPLES:
+        samples = min(samples, weights.scored)
+    burn_in_rate = 1.0 / (1.0 + samples)
     f = max(1.0 - math.exp(-rate), burn_in_rate)
     g = max(1.0 - math.exp(-rate / params.long_factor), burn_in_rate)
     position_m, left_out = adaptive.shadow.position_m, adaptive.lead.left_out
@@ -54,17 +47,11 @@ def update_index(params, adaptive, travel_m, dt_s, target_m):
         e = position_m[i] - left_out[i] * (position_m[i] - without_lead_m) - target_m
         weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
-    update_lead(params, adaptive, f, g, target_m)
+    setpoint_lead.update_lead(params, adaptive, f, g, target_m)
     weights.scored = min(weights.scored + 1, FULL_POWER_SAMPLES)
     weights.waiting_s += dt_s
-    if weights.waiting_s >= WEIGHT_INTERVAL_S:
+    if weights.waiting_s >= 0.005:  # quicker sensors do not update the weights with each sample
         update_weights(params, adaptive, weights.waiting_s)
-
-
-@jit
-def noise_fraction(score_m2, noise_m):
-    """Share of a mean squared error that is the noise of the readings, 0 to 1."""
-    return min(NOISE_MARGIN * noise_m * noise_m, score_m2) / score_m2 if score_m2 > 0.0 else 1.0
 
 
 @jit
@@ -79,15 +66,13 @@ def compute_costs(params, adaptive):
     -----
         c_i = p_J ln(J_i − σ_J² + ε²) + p_L ln(L_i − σ_L² + ε²) + p_E ln(1 + E_i/E_0) + C_i
 
-    S is the noise share of the least J_i, α the progress of the scoring. The other symbols are those of
-    docs/explanation/following.md.
+    S is the noise share of the least J_i, 1 up to 1.4 noise variances, α the progress of the scoring. The
+    other symbols are those of docs/explanation/following.md.
     """
     shadow, weights, noise_m = adaptive.shadow, adaptive.weights, adaptive.noise.sigma_m
-    least_j, least_l = weights.recent_m2[0], weights.longer_m2[0]
-    for i in range(1, N_MODELS):
-        least_j, least_l = min(least_j, weights.recent_m2[i]), min(least_l, weights.longer_m2[i])
+    least_j, least_l = weights.recent_m2.min(), weights.longer_m2.min()
     # differences below the noise are small but significant; great errors come from few places
-    s = noise_fraction(least_j, noise_m)
+    s = min(1.4 * noise_m * noise_m, least_j) / least_j if least_j > 0.0 else 1.0
     alpha, p_l = weights.scored / FULL_POWER_SAMPLES, params.long_power
     p_j = p_l + (params.score_power - p_l) * (s * s * alpha * alpha)
     p_e = ROUGH_EFFORT_POWER * ((1.0 - s) * (1.0 - s)) + BURN_IN_EFFORT_POWER * s * s * (1.0 - alpha)
@@ -99,7 +84,8 @@ def compute_costs(params, adaptive):
         c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
         c += p_e * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
-        is_alias = i >= WAVES and SCALE[i] * spacing_m > MAX_WAVE_PHASE
+        # phase of a wave between two samples: from π on it is an alias of a longer one
+        is_alias = i >= model_bank.WAVES and model_bank.SCALE[i] * spacing_m > 2.0 * math.pi / 3.0
         weights.cost[i] = math.inf if is_alias else c
 
 
@@ -114,9 +100,7 @@ def update_weights(params, adaptive, dt_s):
     """
     weights = adaptive.weights
     compute_costs(params, adaptive)
-    least, total = math.inf, 0.0
-    for i in range(N_MODELS):
-        least = min(least, weights.cost[i])
+    least, total = weights.cost.min(), 0.0
     for i in range(N_MODELS):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
@@ -129,7 +113,7 @@ def update_weights(params, adaptive, dt_s):
 
 @jit
 def reset_index(weights):
-    """Set the performance index of all models to the same value."""
-    for i in range(N_MODELS):
-        weights.recent_m2[i] = weights.longer_m2[i] = INITIAL_INDEX_M2
+    """Set the performance index of all models to the same value, (1 mm)², so that it prefers none."""
+    weights.recent_m2[:] = 1e-6
+    weights.longer_m2[:] = 1e-6
     weights.scored = 0

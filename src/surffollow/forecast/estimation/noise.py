@@ -7,7 +7,6 @@ from surffollow.shm.jit import jit
 
 MIN_NOISE_M = 50e-6  # floor of the variance that the bank assumes
 INITIAL_NOISE_M = 300e-6  # assumed before it is estimated
-MEDIAN_SAMPLES = 2.0  # the rate is this over the samples so far, within the two
 MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 
 
@@ -17,7 +16,7 @@ def update_noise(adaptive, h_m):
     noise = adaptive.noise
     if adaptive.estimate.samples > 2:
         e = abs(h_m - 2.0 * noise.recent_m[0] + noise.recent_m[1])
-        rate = min(max(MEDIAN_SAMPLES / max(adaptive.weights.scored, 1), SLOW_RATE), QUICK_RATE)
+        rate = min(max(2.0 / max(adaptive.weights.scored, 1), SLOW_RATE), QUICK_RATE)
         step = rate * max(noise.median_m, 1e-5)
         noise.median_m = max(noise.median_m + (step if e > noise.median_m else -step), 0.0)
         noise.sigma_m = MAD_TO_SIGMA * noise.median_m
@@ -30,12 +29,6 @@ def initialise_noise(noise):
     """Assume the noise of a start without knowledge."""
     noise.sigma_m = INITIAL_NOISE_M
     noise.median_m = INITIAL_NOISE_M / MAD_TO_SIGMA
-
-
-@jit
-def discard_noise(noise):
-    """Mark the noise as not known."""
-    noise.sigma_m = 0.0
 
 
 @jit

@@ -42,7 +42,6 @@ def update_lead(params, adaptive, recent_rate, longer_rate, target_m):
 @jit
 def reset_lead(lead):
     """Leave nothing out."""
-    for k in range(2 * N_LEADS):
-        lead.excess_m2[k] = lead.effect_m2[k] = 0.0
-    for i in range(N_LEADS):
-        lead.left_out[i] = 0.0
+    lead.excess_m2[:] = 0.0
+    lead.effect_m2[:] = 0.0
+    lead.left_out[:] = 0.0

@@ -122,16 +122,7 @@ def distance_since_reading(params, paper, sense, t_ns):
 
 
 @jit_inlined
-def paper_forecast(
-    params,
-    paper,
-    t_ns,
-    fresh,
-    range_m,
-    reading_z_m,
-    sensor_z_m,
-    max_distance_m,
-):
+def paper_forecast(params, paper, t_ns, fresh, range_m, reading_z_m, sensor_z_m, max_distance_m):
     """ΔH since the previous reading, and desired minus previous actual stand-off.
 
     The previous stand-off is carried on by the tool's own vertical motion since. A fresh reading becomes

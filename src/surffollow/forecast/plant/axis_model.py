@@ -5,11 +5,10 @@ import math
 from surffollow.shm.jit import jit
 
 MAX_MODEL_ERROR_M = 5e-4  # of an axis model: beyond, another controller leads the robot
-BISECTIONS = 24  # resolution: 6e-8 of the interval searched
 PERIOD_S = 0.01  # of the plan: one controller period
 AXIS_STEP_NS = 2_000_000  # of all axis models
+MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
 AXIS_STEPS = round(PERIOD_S * 1e9) // AXIS_STEP_NS  # in a controller period
-ATTAINABLE_SHARE = 0.999  # of the range of positions that a setpoint can give; the rest is for rounding
 
 
 @jit
@@ -38,6 +37,13 @@ def step_axis(tau_s, v_max_mps, a_max_mps2, z_m, v_mps, target_m, dt_s):
     dv = a_max_mps2 * dt_s
     v_mps += min(max(w - v_mps, -dv), dv)
     return z_m + v_mps * dt_s, v_mps
+
+
+@jit
+def time_steps(from_ns, to_ns):
+    """Number of time steps between two times, and their span [ns], MAX_AXIS_GAP_NS at most."""
+    span_ns = min(to_ns - from_ns, MAX_AXIS_GAP_NS)
+    return (span_ns + AXIS_STEP_NS - 1) // AXIS_STEP_NS, span_ns
 
 
 @jit
@@ -79,9 +85,9 @@ def invert_axis(params, tau_s, z_m, v_mps, wanted_m, hold_s):
     low, high = z_m - reach, z_m + reach
     lowest_m = position_ahead(params, tau_s, z_m, v_mps, low, hold_s)
     highest_m = position_ahead(params, tau_s, z_m, v_mps, high, hold_s)
-    rest_m = (1.0 - ATTAINABLE_SHARE) * (highest_m - lowest_m)
+    rest_m = (1.0 - 0.999) * (highest_m - lowest_m)  # for rounding
     wanted_m = min(max(wanted_m, lowest_m + rest_m), highest_m - rest_m)
-    for _ in range(BISECTIONS):
+    for _ in range(24):  # resolution: 6e-8 of the interval searched
         middle = 0.5 * (low + high)
         if position_ahead(params, tau_s, z_m, v_mps, middle, hold_s) < wanted_m:
             low = middle

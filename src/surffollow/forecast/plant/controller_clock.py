@@ -10,15 +10,8 @@ from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
-DEFAULT_PERIOD_NS = 9_999_000  # 100 Hz; a microsecond less, timestamps may be rounded
-EARLY_SHARES = 0.1, 0.25  # of a period, and of the interval of calls: a period may begin so much sooner
-# before the next report: the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm
-PREPARATION_NS = 8_900_000
 LATCH_DELAY_NS = 500_000  # latch time before the cycle that sees the report, on average
-MIN_PERIOD_NS, MAX_PERIOD_NS = 6_000_000, 14_000_000  # between two periods synchronised by reports
 PERIOD_TOLERANCE_NS = 1_000_000  # of the mean interval of reports from `PERIOD_S`
-PERIOD_RATE = 0.1  # of the usual interval, per report, and of the usual period, per period
-MAX_PERIODS = 3.0  # of `PERIOD_S` in the usual period: plans are too short for more
 
 
 @jit
@@ -44,11 +37,12 @@ def period_is_due(controller, call_s, ranges_given, now_ns):
     """
     elapsed = now_ns - controller.period_ns
     if not is_synchronised(controller, ranges_given, now_ns):
-        early_ns = min(EARLY_SHARES[0] * DEFAULT_PERIOD_NS, EARLY_SHARES[1] * call_s * 1e9)
-        return elapsed >= DEFAULT_PERIOD_NS - early_ns
+        period_ns = 9_999_000  # 100 Hz; a microsecond less, timestamps may be rounded
+        return elapsed >= period_ns - min(0.1 * period_ns, 0.25 * call_s * 1e9)
+    # the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm; periods last 6 to 14 ms
     left = latch_time(controller, ranges_given, now_ns) - now_ns
-    prepares = controller.latch_pending == 0 and left <= PREPARATION_NS and elapsed >= MIN_PERIOD_NS
-    return prepares or elapsed >= MAX_PERIOD_NS
+    prepares = controller.latch_pending == 0 and left <= 8_900_000 and elapsed >= 6_000_000
+    return prepares or elapsed >= 14_000_000
 
 
 @jit
@@ -75,10 +69,17 @@ def mean_wait_s(params, controller):
 @jit
 def open_period(controller, ranges_given, now_ns):
     """Set the latch time of the period that has just begun; until then its demand may change."""
-    controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = latch_time(
-        controller, ranges_given, now_ns
-    )
+    slot = (controller.periods - 1) & (N_PERIODS - 1)
+    controller.latch_ns[slot] = latch_time(controller, ranges_given, now_ns)
     controller.latch_pending = 1 if is_synchronised(controller, ranges_given, now_ns) else 0
+
+
+@jit
+def usual_interval(usual_ns, dt_ns):
+    """Usual interval after one more [ns]: a mean over some ten, at first the first one, without gaps."""
+    if not 0 < dt_ns < MAX_GAP_NS:
+        return usual_ns
+    return usual_ns + (0.1 if usual_ns > 0.0 else 1.0) * (dt_ns - usual_ns)
 
 
 @jit
@@ -89,10 +90,7 @@ def observe_report(controller, poses, now_ns):
     """
     if poses == controller.report_count:
         return
-    dt = now_ns - controller.report_ns
-    if 0 < dt < MAX_GAP_NS:
-        rate = PERIOD_RATE if controller.interval_ns > 0.0 else 1.0
-        controller.interval_ns += rate * (dt - controller.interval_ns)
+    controller.interval_ns = usual_interval(controller.interval_ns, now_ns - controller.report_ns)
     controller.report_ns, controller.report_count = now_ns, poses
     if controller.latch_pending != 0:
         controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = now_ns - LATCH_DELAY_NS
@@ -102,10 +100,7 @@ def observe_report(controller, poses, now_ns):
 @jit
 def begin_period(controller, now_ns):
     """Begin a controller period now, and update the usual period."""
-    dt = now_ns - controller.period_ns
-    if 0 < dt < MAX_GAP_NS:
-        rate = PERIOD_RATE if controller.usual_ns > 0.0 else 1.0
-        controller.usual_ns += rate * (dt - controller.usual_ns)
+    controller.usual_ns = usual_interval(controller.usual_ns, now_ns - controller.period_ns)
     controller.periods += 1
     controller.period_ns = now_ns
 
@@ -145,8 +140,8 @@ def share_of_next(controller, k, t_ns, newest_ns):
 
 @jit
 def usual_periods(controller):
-    """Usual length of a controller period, in those of a plan, 1 to `MAX_PERIODS`.
+    """Usual length of a controller period, in those of a plan, 1 to 3: plans are too short for more.
 
     A demand is kept for so long: a controller of 125 Hz takes every second one, and others are not punctual.
     """
-    return min(max(controller.usual_ns / (PERIOD_S * 1e9), 1.0), MAX_PERIODS)
+    return min(max(controller.usual_ns / (PERIOD_S * 1e9), 1.0), 3.0)

@@ -10,9 +10,7 @@ import math
 import numpy as np
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, MAX_MODEL_ERROR_M, step_axis
-from surffollow.forecast.plant.controller_clock import period_at, share_of_next
-from surffollow.forecast.plant.shadow_axes import MAX_AXIS_GAP_NS
+from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
@@ -22,10 +20,6 @@ from surffollow.shm.layout_follow import POSES
 
 TAU_RATIO = 1.5  # between neighbouring τ
 TAU_SHARES = TAU_RATIO ** (np.arange(N_PLANTS) - N_PLANTS // 2)  # of the configured τ
-SUSPENSION_NS = 500_000_000  # then preview is suspended for so long
-RESET_ERROR_M = 3e-3  # beyond, the robot does not follow: the axes begin at the tool
-POSITION_GAIN = 0.3  # of the observed axis, per report
-VELOCITY_GAIN_HZ = 2.0  # of the observed axis, per report
 
 
 @jit
@@ -44,26 +38,19 @@ def reset_axes(params, adaptive, t_ns, z_m):
     plant.axis_m, plant.axis_mps = z_m, kinematics.climb_mps
     plant.t_ns = t_ns
     if plant.tau_s <= 0.0 or plant.tau_configured_s != params.plant_tau_s:
-        reset_time_constant(params, plant)
+        plant.tau_s = plant.tau_configured_s = params.plant_tau_s
+        plant.error_m2[:] = 0.0
 
 
 @jit
 def own_setpoint(adaptive, t_ns):
     """The follower's own setpoint that is in force at a time [m]."""
     plant, controller = adaptive.plant, adaptive.controller
-    k, next_m = period_at(controller, t_ns), plant.newest_m
+    k, next_m = controller_clock.period_at(controller, t_ns), plant.newest_m
     if k < controller.periods - 1:
         next_m = plant.setpoint_m[(k + 1) & (N_PERIODS - 1)]
     held_m = plant.setpoint_m[k & (N_PERIODS - 1)]
-    return held_m + share_of_next(controller, k, t_ns, plant.newest_ns) * (next_m - held_m)
-
-
-@jit
-def time_steps(from_ns, to_ns):
-    """Number and length of the time steps of an axis model [s]; the span is MAX_AXIS_GAP_NS at most."""
-    span_ns = min(to_ns - from_ns, MAX_AXIS_GAP_NS)
-    steps = (span_ns + AXIS_STEP_NS - 1) // AXIS_STEP_NS
-    return steps, span_ns
+    return held_m + controller_clock.share_of_next(controller, k, t_ns, plant.newest_ns) * (next_m - held_m)
 
 
 @jit
@@ -71,10 +58,10 @@ def predict_axis(params, adaptive, to_ns):
     """Position and velocity of the observed axis at a later time [m, m/s]."""
     plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
     z, v, tau = plant.axis_m, plant.axis_mps, plant.tau_s
-    steps, span_ns = time_steps(plant.t_ns, to_ns)
+    steps, span_ns = axis_model.time_steps(plant.t_ns, to_ns)
     for n in range(steps):
         target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
-        z, v = step_axis(tau, v_max, a_max, z, v, target, span_ns * 1e-9 / steps)
+        z, v = axis_model.step_axis(tau, v_max, a_max, z, v, target, span_ns * 1e-9 / steps)
     return z, v
 
 
@@ -83,12 +70,12 @@ def propagate_axes(params, adaptive, to_ns):
     """Propagate all axis models with the follower's own setpoints."""
     plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
     z, v = plant.position_m, plant.velocity_mps
-    steps, span_ns = time_steps(plant.t_ns, to_ns)
+    steps, span_ns = axis_model.time_steps(plant.t_ns, to_ns)
     for n in range(steps):
         target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
         for k in range(N_PLANTS):
             tau = plant.tau_configured_s * TAU_SHARES[k]
-            z[k], v[k] = step_axis(tau, v_max, a_max, z[k], v[k], target, span_ns * 1e-9 / steps)
+            z[k], v[k] = axis_model.step_axis(tau, v_max, a_max, z[k], v[k], target, span_ns * 1e-9 / steps)
     plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
 
@@ -96,20 +83,14 @@ def propagate_axes(params, adaptive, to_ns):
 @jit
 def model_error(plant):
     """Squared error of the best axis model against the reports [m²]."""
-    least = plant.error_m2[0]
-    for k in range(1, N_PLANTS):
-        least = min(least, plant.error_m2[k])
-    return least
+    return plant.error_m2.min()
 
 
 @jit
 def best_time_constant(plant):
     """τ of the least error by a parabola through three [s]; 0 when the errors do not differ."""
-    best, greatest = 0, plant.error_m2[0]
-    for k in range(1, N_PLANTS):
-        best = k if plant.error_m2[k] < plant.error_m2[best] else best
-        greatest = max(greatest, plant.error_m2[k])
-    if greatest - plant.error_m2[best] < MIN_NOISE_M**2:
+    best = plant.error_m2.argmin()
+    if plant.error_m2.max() - plant.error_m2[best] < MIN_NOISE_M**2:
         return 0.0
     # a parabola over √τ through three points: over τ its minimum is too high, over log τ too low
     b = min(max(best, 1), N_PLANTS - 2)
@@ -122,14 +103,6 @@ def best_time_constant(plant):
         return middle * middle
     root = min(max(0.5 * (left + middle - slope_below / curvature), left), right)
     return root * root
-
-
-@jit
-def remove_common_error(plant):
-    """Subtract the least error from all: another controller has moved the robot since."""
-    least = model_error(plant)
-    for k in range(N_PLANTS):
-        plant.error_m2[k] -= least
 
 
 @jit
@@ -147,9 +120,11 @@ def update_plant(params, adaptive, sense, adapt):
     if t == plant.t_ns:
         return
     if setpoint.t_ns == 0:
-        remove_common_error(plant)
+        least = model_error(plant)
+        for k in range(N_PLANTS):  # what all have in common: another controller has moved the robot since
+            plant.error_m2[k] -= least
     applied = adaptive.controller.periods > 0 and setpoint.t_ns != 0 and setpoint.in_dryrun == 0
-    continues = plant.t_ns < t <= plant.t_ns + MAX_AXIS_GAP_NS
+    continues = plant.t_ns < t <= plant.t_ns + axis_model.MAX_AXIS_GAP_NS
     if not applied or not continues or plant.tau_configured_s != params.plant_tau_s:
         reset_axes(params, adaptive, t, z)
         return
@@ -157,17 +132,17 @@ def update_plant(params, adaptive, sense, adapt):
     least = math.inf
     for k in range(N_PLANTS):
         least = min(least, abs(plant.position_m[k] - z))
-    if not least < MAX_MODEL_ERROR_M:
-        suspend_preview(adaptive.preview, t + SUSPENSION_NS)
-    if not least < RESET_ERROR_M:
+    if not least < axis_model.MAX_MODEL_ERROR_M:
+        suspend_preview(adaptive.preview, t + 500_000_000)
+    if not least < 3e-3:  # the robot does not follow: the axes begin at the tool
         reset_axes(params, adaptive, t, z)
         return
     e = z - plant.axis_m
-    plant.axis_m += POSITION_GAIN * e
-    plant.axis_mps += VELOCITY_GAIN_HZ * e
+    plant.axis_m += 0.3 * e  # gains of the observed axis per report
+    plant.axis_mps += 2.0 * e
     limit = params.plant_v_max_mps
     plant.axis_mps = min(max(plant.axis_mps, -limit), limit)
-    if not adapt or not least < MAX_MODEL_ERROR_M:
+    if not adapt or not least < axis_model.MAX_MODEL_ERROR_M:
         return
     for k in range(N_PLANTS):
         e = plant.position_m[k] - z
@@ -184,11 +159,3 @@ def record_own_setpoint(adaptive, setpoint_m):
     plant.newest_m, plant.newest_ns = setpoint_m, now_ns
     if controller.period_ns == now_ns or controller.latch_pending != 0:
         plant.setpoint_m[(controller.periods - 1) & (N_PERIODS - 1)] = setpoint_m
-
-
-@jit
-def reset_time_constant(params, plant):
-    """Begin identification anew at the configured time constant."""
-    plant.tau_s = plant.tau_configured_s = params.plant_tau_s
-    for k in range(N_PLANTS):
-        plant.error_m2[k] = 0.0

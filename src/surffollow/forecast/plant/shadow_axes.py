@@ -5,18 +5,13 @@ A model that may lead less has two: with its lead and without it (`estimation.se
 
 import math
 
-from surffollow.forecast.plant.axis_model import AXIS_STEP_NS, PERIOD_S, step_axis
-from surffollow.forecast.plant.controller_clock import period_at
+from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.quantities import QUICK_RATE
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_AXES, N_MODELS, N_PERIODS
 
-MAX_AXIS_STEPS = 32  # bounds the work per sample
-MIN_TAU_S = 1e-3  # below, the steps would be too long for the axis
 MAX_LAG_S = 0.32  # of a sensor that trails: half the setpoints kept, the others are for its latency
 MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest, too
-MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
-MAX_EFFORT = 100.0  # (10 m/s²)²: bounds the memory of a step
 
 
 @jit
@@ -39,9 +34,8 @@ def uncompared_m(adaptive):
 def reset_shadows(shadow, t_ns, z_m):
     """Put every shadow axis to rest at a height, at a time."""
     shadow.t_ns = t_ns
-    for i in range(N_AXES):
-        shadow.position_m[i] = z_m
-        shadow.velocity_mps[i] = 0.0
+    shadow.position_m[:] = z_m
+    shadow.velocity_mps[:] = 0.0
 
 
 @jit_inlined
@@ -53,59 +47,51 @@ def propagate_shadows(params, adaptive, t_ns):
     params, adaptive : records of `Params`, `AdaptiveState` (`shadow` updated)
     t_ns : int64  the time; not possible before that of the axes
     """
-    shadow, controller = adaptive.shadow, adaptive.controller
-    from_ns = shadow.t_ns
+    shadow, controller, from_ns = adaptive.shadow, adaptive.controller, adaptive.shadow.t_ns
+    z, v = shadow.position_m, shadow.velocity_mps
     span = t_ns - from_ns
     if span <= 0:
         return False
     shadow.t_ns = t_ns
     if controller.periods == 0:
         return True
-    if span > MAX_AXIS_GAP_NS:
-        slot = period_at(controller, t_ns) & (N_PERIODS - 1)
+    if span > axis_model.MAX_AXIS_GAP_NS:
+        slot = controller_clock.period_at(controller, t_ns) & (N_PERIODS - 1)
         for i in range(N_AXES):
-            shadow.position_m[i] = shadow.setpoint_m[slot * N_AXES + i]
-            shadow.velocity_mps[i] = 0.0
+            z[i], v[i] = shadow.setpoint_m[slot * N_AXES + i], 0.0
         return True
-    steps = min(max((span + AXIS_STEP_NS - 1) // AXIS_STEP_NS, 1), MAX_AXIS_STEPS)
+    steps = min(axis_model.time_steps(from_ns, t_ns)[0], 32)  # bounds the work per sample
     dt = span * 1e-9 / steps
-    tau, v_max, a_max = max(adaptive.plant.tau_s, MIN_TAU_S), params.plant_v_max_mps, params.plant_a_max_mps2
+    # with a smaller τ the steps would be too long for the axis
+    tau, v_max, a_max = max(adaptive.plant.tau_s, 1e-3), params.plant_v_max_mps, params.plant_a_max_mps2
     for j in range(steps):
-        k = period_at(controller, from_ns + (span * j) // steps)
+        k = controller_clock.period_at(controller, from_ns + (span * j) // steps)
         first = (k & (N_PERIODS - 1)) * N_AXES
         for i in range(N_AXES):
             target = shadow.setpoint_m[first + i]
-            shadow.position_m[i], shadow.velocity_mps[i] = step_axis(
-                tau, v_max, a_max, shadow.position_m[i], shadow.velocity_mps[i], target, dt
-            )
+            z[i], v[i] = axis_model.step_axis(tau, v_max, a_max, z[i], v[i], target, dt)
     return True
-
-
-@jit
-def update_effort(adaptive):
-    """Update the effort of all models with their newest setpoints."""
-    shadow, newest_m, before_m = adaptive.shadow, adaptive.blend.model_m, adaptive.shadow.before_m
-    for i in range(N_MODELS):
-        one_m, two_m = before_m[i], before_m[N_MODELS + i]
-        if adaptive.controller.periods > 1:
-            accel = 1.0 / PERIOD_S**2 * (newest_m[i] - 2.0 * one_m + two_m)
-            shadow.effort[i] += QUICK_RATE * (min(accel * accel, MAX_EFFORT) - shadow.effort[i])
-            shadow.log_effort[i] = math.log(shadow.effort[i] + 1.0)  # in (1 m/s²)²
-        before_m[i], before_m[N_MODELS + i] = newest_m[i], one_m
 
 
 @jit
 def record_setpoints(adaptive):
     """Record the newest setpoints of all axes for the period that begins, and update the effort."""
-    shadow = adaptive.shadow
+    shadow, newest_m, before_m = adaptive.shadow, adaptive.blend.model_m, adaptive.shadow.before_m
     first = (adaptive.controller.periods & (N_PERIODS - 1)) * N_AXES
     for i in range(N_AXES):
         shadow.setpoint_m[first + i] = adaptive.blend.axis_m[i]
-    update_effort(adaptive)
+    for i in range(N_MODELS):
+        one_m, two_m = before_m[i], before_m[N_MODELS + i]
+        if adaptive.controller.periods > 1:
+            accel = 1.0 / axis_model.PERIOD_S**2 * (newest_m[i] - 2.0 * one_m + two_m)
+            # (10 m/s²)² bounds the memory of a step
+            shadow.effort[i] += QUICK_RATE * (min(accel * accel, 100.0) - shadow.effort[i])
+            shadow.log_effort[i] = math.log(shadow.effort[i] + 1.0)  # in (1 m/s²)²
+        before_m[i], before_m[N_MODELS + i] = newest_m[i], one_m
 
 
 @jit
 def reset_effort(shadow):
     """Set the mean squared acceleration of all setpoints to zero."""
-    for i in range(N_MODELS):
-        shadow.effort[i] = shadow.log_effort[i] = 0.0
+    shadow.effort[:] = 0.0
+    shadow.log_effort[:] = 0.0

@@ -9,7 +9,6 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
-MAX_JUMP_M = 0.02  # distance beyond the velocity between two reports: what is less is no lateral jump
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
 
@@ -71,7 +70,7 @@ def note_jump(params, kinematics, sense):
         if 0.0 < before_s <= PAUSE_NS * 1e-9:
             aside = min(aside, math.hypot(vx - before_x, vy - before_y) * dt)
     up = abs(vz - kinematics.climb_mps) * dt
-    most_aside = max(MAX_JUMP_M, GATE_SCALES * kinematics.scatter_m)
+    most_aside = max(0.02, GATE_SCALES * kinematics.scatter_m)  # 20 mm aside are no jump
     most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, GATE_SCALES * kinematics.climb_scatter_m)
     kinematics.scatter_m = follow_usual(kinematics.scatter_m, min(aside, most_aside))
     kinematics.climb_scatter_m = follow_usual(kinematics.climb_scatter_m, min(up, most_up))

@@ -11,18 +11,11 @@ import math
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import pose_at
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES, USUAL_SAMPLES
-from surffollow.forecast.sensing.clock import follow_usual
-from surffollow.forecast.sensing.kinematics import CLIMB_WINDOW_NS
+from surffollow.forecast.sensing import clock, kinematics
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
-PRIOR_S = 0.03  # standard deviation of the latency before a rest
-MIN_CLIMB_RMS_MPS = 0.015  # RMS deviation of the climb rate: less identifies nothing
-OUTLIER_GATE_M = 8e-3  # heights so far from the mean are glitches
 MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
-RESIDUAL_LIMIT_M = 0.5e-3  # left by the regression, beyond the noise: the ground was not one spot
-LEAST_DELAY_S = 20.0  # time constant of the least delay, which grows: clocks drift by 100 ppm
-LATE_TAUS = 2.0  # usual beyond least delay: ground seen so late is behind the tool, and the axis moved since
 
 
 @jit
@@ -36,27 +29,22 @@ def reset_window(latency):
 @jit
 def update_delay(latency, delay_s, interval_s):
     """Update the usual and the least delay with that of a sample, at the usual interval [s]."""
-    latency.delay_s = follow_usual(latency.delay_s, delay_s)
+    latency.delay_s = clock.follow_usual(latency.delay_s, delay_s)
     least_s = min(latency.least_s, delay_s) if latency.least_s != 0.0 else delay_s
-    latency.least_s = least_s + min(interval_s / LEAST_DELAY_S, 1.0) * (delay_s - least_s)
+    # it grows within 20 s: clocks drift by 100 ppm
+    latency.least_s = least_s + min(interval_s / 20.0, 1.0) * (delay_s - least_s)
 
 
 @jit
 def is_late(params, adaptive):
     """Whether samples arrive later than they did: the delay grows, or the timestamps fall behind.
 
-    The first means of a channel are of fewer ranges, and younger.
+    The first means of a channel are of fewer ranges, and younger. Ground that is seen 2 τ late is behind the
+    tool, and the axis has moved since.
     """
     latency = adaptive.latency
     younger_s = 0.5 * (params.sensor_readings - 1) * adaptive.prediction.interval_s
-    return latency.delay_s - latency.least_s > LATE_TAUS * adaptive.plant.tau_s + younger_s
-
-
-@jit
-def discard_correction(latency):
-    """Discard the correction and begin a new rest."""
-    latency.correction_s = 0.0
-    reset_window(latency)
+    return latency.delay_s - latency.least_s > 2.0 * adaptive.plant.tau_s + younger_s
 
 
 @jit
@@ -64,8 +52,8 @@ def check_configured_latency(params, latency):
     """Discard the correction when another latency is configured; whether it is: timestamps go back or on."""
     if latency.configured_ns == params.sensor_latency_ns:
         return False
-    latency.configured_ns = params.sensor_latency_ns
-    discard_correction(latency)
+    latency.configured_ns, latency.correction_s = params.sensor_latency_ns, 0.0
+    reset_window(latency)
     return True
 
 
@@ -74,13 +62,16 @@ def update_correction(adaptive, adapt):
     """Let the regression of a rest enter the correction, and begin a new rest."""
     latency = adaptive.latency
     n = latency.count
-    if adapt and n >= USUAL_SAMPLES and latency.climb_climb > n * MIN_CLIMB_RMS_MPS**2:
+    # deviations of the climb rate below 15 mm/s RMS identify nothing
+    if adapt and n >= USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
         delta_s = latency.climb_height / latency.climb_climb
         residual = math.sqrt(max(latency.height_height - delta_s * latency.climb_height, 0.0) / n)
         noise = max(adaptive.noise.sigma_m, MIN_NOISE_M)
-        if abs(delta_s) < MAX_CORRECTION_S and residual < 3.0 * noise + RESIDUAL_LIMIT_M:
+        # a greater residual: the ground was not one spot
+        if abs(delta_s) < MAX_CORRECTION_S and residual < 3.0 * noise + 0.5e-3:
             var = max(residual, noise) ** 2 / latency.climb_climb
-            corrected_s = latency.correction_s + PRIOR_S**2 / (PRIOR_S**2 + var) * delta_s
+            prior = 0.03**2  # variance of the latency before a rest [s²]
+            corrected_s = latency.correction_s + prior / (prior + var) * delta_s
             latency.correction_s = min(max(corrected_s, -MAX_CORRECTION_S), MAX_CORRECTION_S)
     reset_window(latency)
 
@@ -99,13 +90,14 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     pose : (7,) float64  scratch
     """
     latency = adaptive.latency
-    near = latency.count == 0 or abs(h_m - latency.mean_height_m) <= OUTLIER_GATE_M
+    near = latency.count == 0 or abs(h_m - latency.mean_height_m) <= 8e-3  # else a glitch
     if at_rest and near:
-        end_ns = min(t_ns + CLIMB_WINDOW_NS // 2, sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)])
-        pose_at(sense, end_ns - CLIMB_WINDOW_NS, 1, pose)
+        newest_ns = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+        end_ns = min(t_ns + kinematics.CLIMB_WINDOW_NS // 2, newest_ns)
+        pose_at(sense, end_ns - kinematics.CLIMB_WINDOW_NS, 1, pose)
         z = pose[2]
         pose_at(sense, end_ns, 1, pose)
-        climb = (pose[2] - z) / (1e-9 * CLIMB_WINDOW_NS)
+        climb = (pose[2] - z) / (1e-9 * kinematics.CLIMB_WINDOW_NS)
         latency.count += 1
         dc, dh = climb - latency.mean_climb_mps, h_m - latency.mean_height_m
         latency.mean_climb_mps += dc / latency.count

@@ -5,25 +5,15 @@ range → pose at the range's timestamp → footprint → latency, health, plane
 
 import math
 
-from surffollow.forecast.attitude.beam_detection import observe_beams, release_beams
-from surffollow.forecast.attitude.plane_fit import plane_height, reset_plane
-from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation, reset_rotation
-from surffollow.forecast.estimation.adaptation import update_deadband
-from surffollow.forecast.estimation.estimate import discard_estimate, turn_estimate, update_estimate
-from surffollow.forecast.estimation.innovation_gate import is_slow
-from surffollow.forecast.fold_back import watch_fold_back
+from surffollow.forecast import fold_back
+from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
+from surffollow.forecast.estimation import adaptation, estimate, innovation_gate
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import MAX_GAP_NS
-from surffollow.forecast.sensing.clock import follow_usual
-from surffollow.forecast.sensing.health import count_close, dropout_tolerance_s
-from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, distance_along, predict_pose
-from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
+from surffollow.forecast.sensing import clock, health, kinematics, latency_identification, response, standoff
 from surffollow.forecast.sensing.range_prediction import update_prediction
-from surffollow.forecast.sensing.response import is_unresponsive, observe_response
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
-from surffollow.forecast.sensing.standoff import axis_ground_point, standoff_height
-from surffollow.forecast.terrain.known_ground import compare_known_ground
-from surffollow.forecast.terrain.preview import observe_ground, withdraw_preview
+from surffollow.forecast.terrain import known_ground, preview
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES, RUN_FREEZE
 
@@ -42,7 +32,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     -----
     The newest pose reported gives the desired height and the sample's place in the preview.
     """
-    kinematics, sample = adaptive.kinematics, adaptive.sample
+    sample = adaptive.sample
     is_new, channel, range_m, t = take_sample(params, adaptive, sense, inputs, output, orients, pose)
     if not is_new:
         return
@@ -50,32 +40,36 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if t <= adaptive.estimate.sample_ns or not responds:
         return
     x, y, h, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
-    close = count_close(adaptive.health, range_m < params.too_close_m)
+    close = health.count_close(adaptive.health, range_m < params.too_close_m)
     if close or fold.close != 0:
-        watch_fold_back(fold, range_m, sensor_z, params.too_close_m, params.too_close_exit_m)
+        fold_back.watch_fold_back(params, fold, range_m, sensor_z)
     adapt = params.adapt != 0 and params.run != RUN_FREEZE
-    at_rest = kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS
+    at_rest = adaptive.kinematics.speed_mps < kinematics.MIN_DIRECTION_SPEED_MPS
     if orients:
         x, y = pose[0], pose[1]
-        accepted, h = observe_plane(params, adaptive, output, t, pose)
+        accepted, h = plane_fit.plane_height(params, adaptive, t, x, y)
         if accepted == 0:
             return
+        rotation_response.observe_rotation(params, adaptive, t, pose)
+        for c in range(params.n_channels):
+            if adaptive.beams.accepted[c] == 0:  # excluded beams are not mapped
+                output.fresh &= ~(1 << c)
     elif at_rest or adaptive.latency.count > 0:
-        observe_height(adaptive, sense, t, h, at_rest, adapt, pose)
-        predict_pose(kinematics, sense, t, pose)  # the regression needs other poses
+        latency_identification.observe_height(adaptive, sense, t, h, at_rest, adapt, pose)
+        kinematics.predict_pose(adaptive.kinematics, sense, t, pose)  # the regression needs other poses
     travel = advance_path(params, adaptive, t, x, y, orients, pose)
-    standoff = standoff_height(params, adaptive.plane, sense, orients)
+    standoff_m = standoff.standoff_height(params, adaptive.plane, sense, orients)
     if not at_rest:
         newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
         gap_x, gap_y = x - sense.pose[newest], y - sense.pose[newest + 1]
-        ahead = distance_along(kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
-        if compare_known_ground(adaptive, inputs, ahead, h):
-            withdraw_preview(adaptive.preview)
-    if not update_estimate(params, adaptive, t, travel, h, standoff, adapt):
+        ahead = kinematics.distance_along(adaptive.kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
+        if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
+            preview.withdraw_preview(adaptive.preview)
+    if not estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapt):
         return
-    observe_ground(adaptive, h, adapt)
+    preview.observe_ground(adaptive, h, adapt)
     if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
-        update_deadband(params, adaptive)
+        adaptation.update_deadband(params, adaptive)
     if not orients:
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, h
@@ -99,12 +93,12 @@ def take_sample(params, adaptive, sense, inputs, output, orients, pose):
         reference = adaptive.beams.reference
         if inputs.n_ranges > 0 and sense.fresh[reference] != 0:
             observe_timestamp(adaptive, sense.range_t_ns[reference])
-        channel = observe_beams(params, adaptive, sense, pose)
+        channel = beam_detection.observe_beams(params, adaptive, sense, pose)
     else:
         output.fresh &= ~1
-        release_beams(adaptive.beams)
-        reset_plane(adaptive.plane)
-        reset_rotation(adaptive.rotation)
+        beam_detection.release_beams(adaptive.beams)
+        plane_fit.reset_plane(adaptive.plane)
+        rotation_response.reset_rotation(adaptive.rotation)
     if channel < 0:
         return False, channel, 0.0, 0
     is_new, range_m, t = new_sample(params, adaptive, sense, inputs.n_ranges, channel, orients)
@@ -127,44 +121,22 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
     -------
     bool, int64 [ns]
     """
-    response = adaptive.response
     update_prediction(adaptive.prediction, t_ns, range_m)
     record_sample(adaptive.hold, t_ns, range_m)
     if not orients:  # beams have timestamps of their own, without correction
         t_ns -= int(adaptive.latency.correction_s * 1e9)
-    update_delay(adaptive.latency, (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.prediction.interval_s)
-    predict_pose(adaptive.kinematics, sense, t_ns, pose)
-    was_stuck = is_unresponsive(response)
-    gap_s = dropout_tolerance_s(adaptive.prediction) + MAX_GAP_NS * 1e-9
-    mean_m = mean_range(adaptive.beams, params.n_channels, t_ns, range_m) if orients else range_m
-    observe_response(params, adaptive, t_ns, mean_m, pose[2], gap_s)
-    responds = not is_unresponsive(response)
+    delay_s = (adaptive.clock.now_ns - t_ns) * 1e-9
+    latency_identification.update_delay(adaptive.latency, delay_s, adaptive.prediction.interval_s)
+    kinematics.predict_pose(adaptive.kinematics, sense, t_ns, pose)
+    was_stuck = response.is_unresponsive(adaptive.response)
+    gap_s = health.dropout_tolerance_s(adaptive.prediction) + MAX_GAP_NS * 1e-9
+    if orients:
+        range_m = rotation_response.mean_range(adaptive.beams, params.n_channels, t_ns, range_m)
+    response.observe_response(params, adaptive, t_ns, range_m, pose[2], gap_s)
+    responds = not response.is_unresponsive(adaptive.response)
     if was_stuck and responds:
-        discard_estimate(adaptive.estimate)
+        estimate.discard_estimate(adaptive.estimate)
     return responds, t_ns
-
-
-@jit
-def observe_plane(params, adaptive, output, t_ns, pose):
-    """Number of accepted beams and the height under the tool; excluded beams are not mapped.
-
-    Parameters
-    ----------
-    params, adaptive, output : records of `Params`, `AdaptiveState` (updated), `Output`
-    t_ns : int64         time of the sample
-    pose : (7,) float64  pose at that time
-
-    Returns
-    -------
-    int64, float64 [m]
-    """
-    accepted, h = plane_height(params, adaptive, t_ns, pose[0], pose[1])
-    if accepted > 0:
-        observe_rotation(params, adaptive, t_ns, pose)
-        for c in range(params.n_channels):
-            if adaptive.beams.accepted[c] == 0:
-                output.fresh &= ~(1 << c)
-    return accepted, h
 
 
 @jit_inlined
@@ -179,29 +151,30 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
     orients : bool       as in `process_sample`
     pose : (7,) float64  pose at that time
     """
-    kinematics, estimate, sample = adaptive.kinematics, adaptive.estimate, adaptive.sample
+    motion, sample, known = adaptive.kinematics, adaptive.sample, adaptive.estimate.samples > 0
     sample.tip_x_m = sample.tip_y_m = 0.0
     if not orients:
-        sample.tip_x_m, sample.tip_y_m, _ = axis_ground_point(params, pose, 0)
-    if kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS:
+        sample.tip_x_m, sample.tip_y_m, _ = standoff.axis_ground_point(params, pose, 0)
+    if motion.speed_mps >= kinematics.MIN_DIRECTION_SPEED_MPS:
         gap_x, gap_y = x_m - pose[0] - sample.tip_x_m, y_m - pose[1] - sample.tip_y_m
-        lead = distance_along(kinematics, gap_x, gap_y)
-        sample.lead_m = follow_usual(sample.lead_m if estimate.samples > 0 else 0.0, lead)
-    travel = kinematics.speed_mps * (t_ns - estimate.sample_ns) * 1e-9 if estimate.samples > 0 else 0.0
-    if estimate.samples > 0 and is_slow(adaptive):  # the tool may have turned since the sample before
+        lead = kinematics.distance_along(motion, gap_x, gap_y)
+        sample.lead_m = clock.follow_usual(sample.lead_m if known else 0.0, lead)
+    travel = motion.speed_mps * (t_ns - adaptive.estimate.sample_ns) * 1e-9 if known else 0.0
+    # the tool of a slow sensor may have turned since the sample before
+    if known and innovation_gate.is_slow(adaptive):
         travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
-    sample.spacing_m = follow_usual(sample.spacing_m, travel)
-    sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, estimate.arc_length_m + travel
+    sample.spacing_m = clock.follow_usual(sample.spacing_m, travel)
+    sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, adaptive.estimate.arc_length_m + travel
     return travel
 
 
 @jit
 def has_turned_back(adaptive):
     """Whether the tool goes back, against the heading of the newest sample."""
-    kinematics, sample = adaptive.kinematics, adaptive.sample
-    along = kinematics.velocity_x_mps * sample.heading_x + kinematics.velocity_y_mps * sample.heading_y
-    return along < -MIN_DIRECTION_SPEED_MPS
+    motion, sample = adaptive.kinematics, adaptive.sample
+    along = motion.velocity_x_mps * sample.heading_x + motion.velocity_y_mps * sample.heading_y
+    return along < -kinematics.MIN_DIRECTION_SPEED_MPS
 
 
 @jit
@@ -216,15 +189,15 @@ def follow_heading(adaptive, x_m, y_m):
     adaptive : record of `AdaptiveState` (updated)
     x_m, y_m : float64  the footprint; `sample` has the one before
     """
-    kinematics, sample = adaptive.kinematics, adaptive.sample
-    if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
+    motion, sample = adaptive.kinematics, adaptive.sample
+    if motion.speed_mps < kinematics.MIN_DIRECTION_SPEED_MPS:
         return
     way_x, way_y = x_m - sample.x_m, y_m - sample.y_m
     along = way_x * sample.heading_x + way_y * sample.heading_y
     known = adaptive.estimate.samples > 0  # a first sample has no footprint before it
-    if known and is_slow(adaptive):
+    if known and innovation_gate.is_slow(adaptive):
         way = math.hypot(way_x, way_y)
-        if way <= MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s:
+        if way <= kinematics.MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s:
             return
         turned = sample.heading_x != 0.0 or sample.heading_y != 0.0
         heading_x, heading_y, cosine = way_x / way, way_y / way, along / way
@@ -232,10 +205,10 @@ def follow_heading(adaptive, x_m, y_m):
         turned = known and has_turned_back(adaptive)
         if turned and along >= 0.0:
             return  # the footprint is still ahead of the one before
-        heading_x = kinematics.velocity_x_mps / kinematics.speed_mps
-        heading_y = kinematics.velocity_y_mps / kinematics.speed_mps
+        heading_x = motion.velocity_x_mps / motion.speed_mps
+        heading_y = motion.velocity_y_mps / motion.speed_mps
         cosine = -1.0
     if turned:
-        turn_estimate(adaptive, cosine)
+        estimate.turn_estimate(adaptive, cosine)
         sample.lead_m = -sample.lead_m if cosine < 0.0 else sample.lead_m
     sample.heading_x, sample.heading_y = heading_x, heading_y

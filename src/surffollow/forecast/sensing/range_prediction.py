@@ -20,27 +20,20 @@ from surffollow.shm.jit import jit, jit_inlined
 # usual intervals: a compromise between halves of a flight's log that does no harm to an echo sounder's
 LEVEL, TREND, DECAY = 0.36, 2.4, 10.0
 MEAN, RETURN, CHECK = 1000.0, 30.0, 15.0
-MIN_UNIT_S = 0.16  # in place of shorter intervals, 4 τ: their noise averages out
-GAP_INTERVALS = 5.0  # usual intervals, or seconds if that is more: begin at the next range
 
 
 @jit
 def time_unit_s(prediction):
-    """Unit of the time constants [s]."""
-    return max(prediction.interval_s, MIN_UNIT_S)
-
-
-@jit
-def damped_time(horizon_s, decay_s):
-    """Integral of a damped unit rate over a horizon [s]."""
-    return decay_s * (1.0 - math.exp(-horizon_s / decay_s))
+    """Unit of the time constants [s]: the noise of intervals shorter than 4 τ averages out."""
+    return max(prediction.interval_s, 0.16)
 
 
 @jit
 def forecast_parts(prediction, horizon_s):
     """Range at a horizon by the trend alone, and the whole return from the level by then [m]."""
     unit_s = time_unit_s(prediction)
-    lasts_s = damped_time(horizon_s, DECAY * unit_s)
+    decay_s = DECAY * unit_s
+    lasts_s = decay_s * (1.0 - math.exp(-horizon_s / decay_s))  # integral of a damped unit rate
     share = 1.0 - math.exp(-(horizon_s - lasts_s) / (RETURN * unit_s))
     by_trend_m = prediction.level_m + prediction.trend_mps * lasts_s
     return by_trend_m, share * (prediction.mean_m - prediction.level_m)
@@ -103,7 +96,8 @@ def update_mean(prediction, dt):
 def update_prediction(prediction, t_ns, range_m):
     """Update level, trend, mean and interval; a single outlier is rejected, a second one is a jump."""
     dt = (t_ns - prediction.t_ns) * 1e-9
-    if prediction.t_ns == 0 or dt <= 0.0 or dt > GAP_INTERVALS * max(prediction.interval_s, 1.0):
+    # after five intervals, or 5 s if that is more, it begins at this range
+    if prediction.t_ns == 0 or dt <= 0.0 or dt > 5.0 * max(prediction.interval_s, 1.0):
         prediction.level_m, prediction.trend_mps = range_m, 0.0
         prediction.t_ns, prediction.rejected = t_ns, 0
         begin_mean(prediction, range_m)

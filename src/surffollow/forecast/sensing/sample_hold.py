@@ -30,13 +30,11 @@ def new_sample(params, adaptive, sense, ranges_given, channel, orients):
     """
     hold, n = adaptive.hold, sense.window_n[channel]
     hold_ns = params.hold_ns
+    if (n if ranges_given == 0 else sense.fresh[channel]) == 0:
+        return False, 0.0, 0
     if ranges_given != 0:
-        if sense.fresh[channel] == 0:
-            return False, 0.0, 0
         value, t, flicker = sense.range_m[channel], sense.range_t_ns[channel], 0.0
     else:
-        if n == 0:
-            return False, 0.0, 0
         base = channel * CONVERSION_WINDOW
         newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
         value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
@@ -53,9 +51,7 @@ def new_sample(params, adaptive, sense, ranges_given, channel, orients):
         if t <= hold.t_ns:
             return False, 0.0, 0
         if abs(value - hold.range_m) <= flicker:
-            if t - hold.t_ns < hold_ns:
-                return False, 0.0, 0
-            return True, value, t
+            return t - hold.t_ns >= hold_ns, value, t
     if ranges_given == 0:
         k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
         while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:

@@ -19,22 +19,19 @@ from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
-# convergence with a warm start is compared with a general solver in the tests
-ITERATIONS, ADMM_PENALTY = 25, 60.0
+ADMM_PENALTY = 60.0
 ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
-# one period behind a setpoint the axis is where its velocity then leads it (0), or on the plan (1):
-# with 1 it is early (second passes 1.03 times the error), with 0 late at edges
-SECOND_SHARE = 0.5
-UNKNOWN_WEIGHT = 1e-6  # not 0, so that the matrix stays regular
-EXTRAPOLATED_PERIODS, EXTRAPOLATED_WEIGHT = 16, 0.5  # periods beyond the known ground
 
 
 @jit
 def point_weight(k, known):
-    """Weight of point k of the plan, which is k + 1 periods from now."""
+    """Weight of point k of the plan, which is k + 1 periods from now.
+
+    Ground is extrapolated over 16 periods. Beyond, the weight is not 0, so that the matrix stays regular.
+    """
     if k + 1 < known:
         return 1.0
-    return EXTRAPOLATED_WEIGHT if k + 1 < known + EXTRAPOLATED_PERIODS else UNKNOWN_WEIGHT
+    return 0.5 if k + 1 < known + 16 else 1e-6
 
 
 @jit
@@ -97,7 +94,7 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
         plan.acceleration_m[k] = plan.acceleration_m[k + 1]
         plan.multiplier_m[k] = plan.multiplier_m[k + 1]
     plan.acceleration_m[n - 1] = plan.multiplier_m[n - 1] = 0.0
-    for _ in range(ITERATIONS):
+    for _ in range(25):  # convergence with a warm start is compared with a general solver in the tests
         for k in range(n):
             # point k is k + 1 periods from now
             ground = adaptive.preview.ground_m[min(k + 1, n - 1)] + standoff_m - z_m
@@ -172,7 +169,9 @@ def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
     next_m = planned_position(plan, hold + 1.0)
     straight_m = planned_position(plan, hold) + 0.5 * (next_m - planned_position(plan, hold - 1.0))
-    wanted_m = straight_m + SECOND_SHARE * (next_m - straight_m)
+    # one period behind a setpoint the axis is between the place to which its velocity then leads it (alone it
+    # is late at edges) and the plan (alone it is early: second passes 1.03 times the error)
+    wanted_m = straight_m + 0.5 * (next_m - straight_m)
     least_mps = least_speed(params, adaptive, known, z_m, standoff_m, hold)
     wanted_m = z_m + max(wanted_m, (hold + 1.0) * PERIOD_S * least_mps)
     plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, wanted_m, hold * PERIOD_S)

@@ -2,31 +2,18 @@
 
 import math
 
-from surffollow.forecast.estimation.innovation_gate import is_slow, withheld_setpoint
-from surffollow.forecast.estimation.model_bank import WAVES, extrapolate_bank
-from surffollow.forecast.plant.controller_clock import begin_period
-from surffollow.forecast.plant.shadow_axes import record_setpoints, uncompared_m
-from surffollow.forecast.quantities import (
-    CONFIRMATION_SAMPLES,
-    CONFIRMED_SAMPLES,
-    MISSING_NS,
-    PAUSE_NS,
-    PLAUSIBLE_SLOPE,
-)
-from surffollow.forecast.sensing.health import dropout_tolerance_s
-from surffollow.forecast.sensing.measurement import has_turned_back
-from surffollow.forecast.sensing.unseen_ground import rise_rate
+from surffollow.forecast import quantities
+from surffollow.forecast.estimation import innovation_gate, model_bank
+from surffollow.forecast.plant import controller_clock, shadow_axes
+from surffollow.forecast.sensing import health, measurement, unseen_ground
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
-UNCONFIRMED_STEP_NS = 150_000_000  # a fall that no sample followed for longer is taken back in a drop-out
 DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
 DEADBAND_SOFTNESS = 2.5  # in deadbands
-# a change of height is clamped to the plausible slope, or to so many RMS slopes of the last metre …
-SLOPE_LIMIT_RMS = 3.0
-HEIGHT_MARGIN_M = 1e-3  # … plus this
+HEIGHT_MARGIN_M = 1e-3  # of the change of height beyond what the steepest slope gives
 # of the travel since the newest sample of a slow sensor: valleys cost 17 instead of 3 mm of clearance with 0
 # (bench_hazards.py, "valley and slow"), a winch's error is 15 % greater with 1 (bench_scales.py)
 LEVEL_SHARE = 0.5
@@ -35,11 +22,8 @@ LEVEL_SHARE = 0.5
 @jit
 def dropout_s(adaptive):
     """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
-    return (
-        (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9
-        - adaptive.latency.delay_s
-        - max(MISSING_NS * 1e-9, dropout_tolerance_s(adaptive.prediction))
-    )
+    since_s = (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9 - adaptive.latency.delay_s
+    return since_s - max(quantities.MISSING_NS * 1e-9, health.dropout_tolerance_s(adaptive.prediction))
 
 
 @jit_inlined
@@ -65,10 +49,10 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     float64 [m], float64
     """
     bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
-    extrapolate_bank(bank, ahead_m)
+    model_bank.extrapolate_bank(bank, ahead_m)
     margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + abs(lead_m))
     unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
-    if is_slow(adaptive):
+    if innovation_gate.is_slow(adaptive):
         unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
@@ -79,7 +63,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         growth = bank.slope_ahead[i] + (1.0 - left_out) * lead_m * bank.bend_ahead[i]
         growth = sign * math.copysign(max_slope, change) if abs(change) > margin else growth
         change, rise = min(max(change, -margin), margin), min(max(rise, -margin), margin)
-        fall = 1.0 - level_share if i < WAVES else 1.0
+        fall = 1.0 - level_share if i < model_bank.WAVES else 1.0
         growth *= fall if change < 0.0 else 1.0
         change *= fall if change < 0.0 else 1.0
         rise *= fall if rise < 0.0 else 1.0
@@ -120,8 +104,8 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     clock, kinematics, gate = adaptive.clock, adaptive.kinematics, adaptive.gate
     estimate, blend = adaptive.estimate, adaptive.blend
     dropout = dropout_s(adaptive)
-    turned = has_turned_back(adaptive)
-    ahead_m = ahead_m if turned else max(ahead_m - uncompared_m(adaptive), 0.0)
+    turned = measurement.has_turned_back(adaptive)
+    ahead_m = ahead_m if turned else max(ahead_m - shadow_axes.uncompared_m(adaptive), 0.0)
     lead_length_m = kinematics.speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(kinematics.speed_mps * dropout, max(ahead_m, 0.0))
@@ -131,21 +115,20 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     speed_mps = kinematics.speed_mps
     if turned:  # along the way of the newest sample
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
-    max_slope = max(PLAUSIBLE_SLOPE, SLOPE_LIMIT_RMS * math.sqrt(estimate.slope_power))
+    # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre
+    max_slope = max(quantities.PLAUSIBLE_SLOPE, 3.0 * math.sqrt(estimate.slope_power))
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
-    recent = (
-        estimate.accepted_ns - gate.step_ns < UNCONFIRMED_STEP_NS
-        and gate.travel_since_step_m < params.step_travel_m
-    )
-    if dropout > 0.0 and gate.step_m < 0.0 and recent:
+    # a fall that samples have followed for 150 ms, or over this travel, is no slot
+    recent = estimate.accepted_ns - gate.step_ns < 150_000_000
+    if dropout > 0.0 and gate.step_m < 0.0 and recent and gate.travel_since_step_m < params.step_travel_m:
         z -= gate.step_m
     if dropout > 0.0 and estimate.samples > 1:
         z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)
     else:
         blend.tracked_m = z
     if due:
-        record_setpoints(adaptive)
-        begin_period(adaptive.controller, clock.now_ns)
+        shadow_axes.record_setpoints(adaptive)
+        controller_clock.begin_period(adaptive.controller, clock.now_ns)
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, slope * speed_mps, clock.now_ns
     blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
     return z
@@ -163,7 +146,7 @@ def filter_setpoint(params, adaptive, target_m):
     if dt == 0.0:
         return blend.filtered_m
     blend.filtered_ns = clock.now_ns
-    if not 0.0 < dt < PAUSE_NS * 1e-9:
+    if not 0.0 < dt < quantities.PAUSE_NS * 1e-9:
         blend.filtered_m = target_m
         return target_m
     blend.filtered_m += blend.rate_mps * dt
@@ -193,11 +176,13 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
     if estimate.accepted_ns < kinematics.jump_ns <= adaptive.clock.now_ns:
         return tool_z_m  # heights are in the frame before the jump
-    few = estimate.samples < CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
-    hardly_known = few or estimate.samples < CONFIRMATION_SAMPLES
+    few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
+    hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(params, adaptive.response, standoff_m)
     # ground that is not seen may rise as steeply as it did before
-    unseen = tool_z_m + rise_rate(adaptive) * (adaptive.plant.tau_s + age_s) if stuck else -math.inf
+    unseen = (
+        tool_z_m + unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s) if stuck else -math.inf
+    )
     tested = min(max(target_m, unseen, lowest), highest)
-    return max(tested, no_descent, withheld_setpoint(adaptive, standoff_m))
+    return max(tested, no_descent, innovation_gate.withheld_setpoint(adaptive, standoff_m))

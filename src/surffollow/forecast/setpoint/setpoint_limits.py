@@ -12,15 +12,9 @@ import math
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, PAUSE_NS
 from surffollow.shm.jit import jit, jit_inlined
 
-PAUSE_INTERVALS = 3.0  # of a slow caller, if longer than `PAUSE_NS`: then the setpoint begins at the tool
-INTERVAL_RATE = 0.2  # of the usual interval, per call
-MIN_INTERVAL_RATE = 0.002  # at which the shortest interval fades
 MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small; also that of the first cycle
-MAX_STEP_S = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
 VELOCITY_RATIO, ACCELERATION_RATIO = 2.0, 20.0  # to the limits of the axis: quicker setpoints add effort only
-ARRIVED_M = 1e-5  # a setpoint that reaches its target in a cycle is on it but for rounding
 SLOT_GROUP_LENGTHS = 12.0  # of `step_travel`: length of slots and of their groups behind a fall of the ground
-BISECTIONS = 8  # resolution: 1/256 of the change that the jerk allows in a cycle
 
 
 @jit
@@ -87,7 +81,7 @@ def next_acceleration(e_m, v_mps, a_mps2, dt_s, next_s, v_max, a_max, jerk):
         return high
     if not can_stop(e_m, v_mps, low, dt_s, v_max, a_max, jerk):
         return low
-    for _ in range(BISECTIONS):
+    for _ in range(8):  # resolution: 1/256 of the change that the jerk allows in a cycle
         middle = 0.5 * (low + high)
         if can_stop(e_m, v_mps, middle, dt_s, v_max, a_max, jerk):
             low = middle
@@ -99,7 +93,7 @@ def next_acceleration(e_m, v_mps, a_mps2, dt_s, next_s, v_max, a_max, jerk):
 @jit
 def restart_pause_s(setpoint):
     """Pause after which a setpoint begins at the tool again [s]."""
-    return max(PAUSE_NS * 1e-9, PAUSE_INTERVALS * setpoint.interval_s)
+    return max(PAUSE_NS * 1e-9, 3.0 * setpoint.interval_s)
 
 
 @jit
@@ -108,17 +102,11 @@ def update_interval(setpoint, dt_s):
     if dt_s > setpoint.interval_s:
         setpoint.interval_s = min(dt_s, max(2.0 * setpoint.interval_s, MAX_GAP_NS * 1e-9))
     else:
-        setpoint.interval_s += INTERVAL_RATE * (dt_s - setpoint.interval_s)
+        setpoint.interval_s += 0.2 * (dt_s - setpoint.interval_s)
     if setpoint.min_interval_s == 0.0 or dt_s < setpoint.min_interval_s:
         setpoint.min_interval_s = dt_s
     else:
-        setpoint.min_interval_s += MIN_INTERVAL_RATE * (dt_s - setpoint.min_interval_s)
-
-
-@jit
-def may_be_slot(params, gate):
-    """Whether the tool is just behind a confirmed fall of the ground."""
-    return gate.step_m < 0.0 and gate.travel_since_step_m < SLOT_GROUP_LENGTHS * params.step_travel_m
+        setpoint.min_interval_s += 0.002 * (dt_s - setpoint.min_interval_s)
 
 
 @jit_inlined
@@ -131,29 +119,26 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     target_m : float64  target of the setpoint [m]
     dt_s : float64      the time [s]
     """
-    setpoint = adaptive.setpoint
+    setpoint, gate = adaptive.setpoint, adaptive.gate
     e = target_m - setpoint.position_m
     direction = 1.0 if e >= 0.0 else -1.0
-    gentle = e < 0.0 and (setpoint.approaching != 0 or may_be_slot(params, adaptive.gate))
+    since_step_m, slots_m = gate.travel_since_step_m, SLOT_GROUP_LENGTHS * params.step_travel_m
+    may_be_slot = gate.step_m < 0.0 and since_step_m < slots_m  # just behind a confirmed fall of the ground
+    gentle = e < 0.0 and (setpoint.approaching != 0 or may_be_slot)
     factor = params.toward_factor if gentle else 1.0
+    shortest_s = max(setpoint.min_interval_s, MIN_INTERVAL_S) if setpoint.min_interval_s > 0.0 else dt_s
     v_max, a_max = params.max_speed_mps, params.max_accel_mps2
     if adaptive.preview.share == 0.0:  # setpoints of a plan are far ahead of the axis, which responds sooner
         v_max = min(v_max, VELOCITY_RATIO * params.plant_v_max_mps)
         a_max = min(a_max, ACCELERATION_RATIO * params.plant_a_max_mps2)
-    accel = direction * next_acceleration(
-        direction * e,
-        direction * setpoint.velocity_mps,
-        direction * setpoint.acceleration_mps2,
-        dt_s,
-        dt_s if setpoint.min_interval_s == 0.0 else min(dt_s, max(setpoint.min_interval_s, MIN_INTERVAL_S)),
-        factor * v_max,
-        factor * a_max,
-        params.max_jerk_mps3,
-    )
-    setpoint.acceleration_mps2 = accel
-    setpoint.velocity_mps += accel * dt_s
+    ahead_m, v, a = direction * e, direction * setpoint.velocity_mps, direction * setpoint.acceleration_mps2
+    v_max, a_max, next_s = factor * v_max, factor * a_max, min(dt_s, shortest_s)
+    accel = next_acceleration(ahead_m, v, a, dt_s, next_s, v_max, a_max, params.max_jerk_mps3)
+    setpoint.acceleration_mps2 = direction * accel
+    setpoint.velocity_mps += setpoint.acceleration_mps2 * dt_s
     setpoint.position_m += setpoint.velocity_mps * dt_s
-    if abs(target_m - setpoint.position_m) < ARRIVED_M and adaptive.estimate.samples >= CONFIRMED_SAMPLES:
+    # on its target but for rounding
+    if abs(target_m - setpoint.position_m) < 1e-5 and adaptive.estimate.samples >= CONFIRMED_SAMPLES:
         setpoint.approaching = 0
 
 
@@ -179,10 +164,11 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
         setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
         setpoint.approaching = 1
         dt = MIN_INTERVAL_S
+    longest_s = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
     if dt <= PAUSE_NS * 1e-9:
-        propagate_setpoint(params, adaptive, target_m, min(dt, MAX_STEP_S))
+        propagate_setpoint(params, adaptive, target_m, min(dt, longest_s))
         return
-    steps = math.ceil(dt / MAX_STEP_S)
+    steps = math.ceil(dt / longest_s)
     for _ in range(steps):
         propagate_setpoint(params, adaptive, target_m, dt / steps)
 

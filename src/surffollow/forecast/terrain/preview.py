@@ -2,27 +2,23 @@
 
 import math
 
-from surffollow.forecast.estimation.model_bank import extrapolate_bank
-from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.estimation import model_bank, noise
 from surffollow.forecast.plant.axis_model import MAX_MODEL_ERROR_M, PERIOD_S
 from surffollow.forecast.quantities import USUAL_SAMPLES
-from surffollow.forecast.terrain.known_ground import known_height
-from surffollow.forecast.terrain.terrain_buffer import sensor_leads
+from surffollow.forecast.terrain import known_ground, terrain_buffer
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of the axis
 PREDICTION_M = 0.04  # over which predictions by the bank are compared; farther on they end
-REVERSION = 1.5  # toward the recent mean, per share of the error of predictions
-SHARE_RATE = 0.15  # per controller period: preview fades in and out
 
 
 @jit
 def bank_rise(adaptive, ahead_m):
     """Blended change of height from the newest sample to a point ahead of it [m]."""
     bank, weights, rise = adaptive.bank, adaptive.weights, 0.0
-    extrapolate_bank(bank, ahead_m)
+    model_bank.extrapolate_bank(bank, ahead_m)
     for i in range(N_MODELS):
         rise += weights.weight[i] * bank.rise_m[i]
     return rise
@@ -68,8 +64,8 @@ def extrapolate_ground(adaptive, known, ahead_m):
     ground = preview.ground_m
     last, end_m = ground[known - 1], ahead_m + step * (known - 1)
     before = bank_rise(adaptive, end_m)
-    noise_m2 = max(adaptive.noise.sigma_m, MIN_NOISE_M) ** 2
-    reversion = REVERSION * preview.error_m2 / (preview.error_m2 + preview.offset_m2 + noise_m2)
+    noise_m2 = max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2
+    reversion = 1.5 * preview.error_m2 / (preview.error_m2 + preview.offset_m2 + noise_m2)
     for k in range(known, HORIZON):
         x = step * (k + 1 - known)
         if x > 2.0 * PREDICTION_M:
@@ -91,13 +87,13 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
     ahead_m : float64    distance of that point ahead of the one under the newest pose [m]
     """
     # ground that is known from channel 0 has no bias, and is not to be confirmed
-    known, ground, leads = adaptive.known, adaptive.preview.ground_m, sensor_leads(adaptive)
+    known, ground, leads = adaptive.known, adaptive.preview.ground_m, terrain_buffer.sensor_leads(adaptive)
     if not leads and adaptive.sample.arc_length_m < known.trusted_from_m:
         return 0
     bias_m, periods = 0.0 if leads else known.bias_m, 0
     for k in range(HORIZON):
         travel = adaptive.kinematics.speed_mps * PERIOD_S * k
-        ground[k] = known_height(adaptive, inputs, s_m + travel, ahead_m + travel) + bias_m
+        ground[k] = known_ground.known_height(adaptive, inputs, s_m + travel, ahead_m + travel) + bias_m
         if k == periods and math.isfinite(ground[k]):
             periods += 1
     return periods
@@ -114,10 +110,10 @@ def update_share(adaptive, known, plant_m2):
     plant_m2 : float64  squared error of the best axis model [m²]
     """
     # ground that is known from channel 0: an uncertain plan is better than none
-    preview, leads = adaptive.preview, sensor_leads(adaptive)
+    preview, leads = adaptive.preview, terrain_buffer.sensor_leads(adaptive)
     trusted = leads or adaptive.clock.now_ns >= preview.suspended_until_ns
     usable = known >= MIN_KNOWN_PERIODS and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
-    preview.share += SHARE_RATE if usable else -SHARE_RATE
+    preview.share += 0.15 if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0
 

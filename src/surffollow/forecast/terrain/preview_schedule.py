@@ -4,14 +4,10 @@
 (comparison with known ground). In all other cycles nothing is read and nothing is logged.
 """
 
-from surffollow.forecast.plant.axis_model import PERIOD_S
-from surffollow.forecast.plant.controller_clock import period_is_due
+from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.reference_scales import dimensionless_time, is_unscaled
-from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS
-from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS
-from surffollow.forecast.terrain.known_ground import REGISTRATION_M
-from surffollow.forecast.terrain.preview import plan_call_s
-from surffollow.forecast.terrain.terrain_buffer import sensor_leads
+from surffollow.forecast.sensing import kinematics, sample_hold
+from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
@@ -29,7 +25,7 @@ def has_reading(params, adaptive, inputs):
         word = inputs.conversion[k]
         if conversion_channel(word) == 0:
             change_m = params.zero_m[0] + params.scale_m[0] * conversion_counts(word) - adaptive.hold.range_m
-            held = abs(change_m) <= HOLD_TOLERANCE_COUNTS * abs(params.scale_m[0])
+            held = abs(change_m) <= sample_hold.HOLD_TOLERANCE_COUNTS * abs(params.scale_m[0])
             return not held and conversion_flags(word) & FLAG_INVALID == 0
     return False
 
@@ -51,13 +47,12 @@ def preview_uses(params, adaptive, inputs, now_ns):
     """
     if params.mode != MODE_ADAPTIVE or params.preview == 0 or adaptive.estimate.samples == 0:
         return 0
-    if params.orient != 0 and params.n_channels >= 3:
+    orients = params.orient != 0 and params.n_channels >= 3
+    leads = terrain_buffer.sensor_leads(adaptive) or adaptive.lookahead.lead_m > 0.0
+    if orients or leads or adaptive.kinematics.speed_mps < kinematics.MIN_DIRECTION_SPEED_MPS:
         return 0
-    if sensor_leads(adaptive) or adaptive.lookahead.lead_m > 0.0:
-        return 0
-    if adaptive.kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
-        return 0
-    is_due = period_is_due(adaptive.controller, plan_call_s(adaptive), inputs.n_ranges, now_ns)
+    call_s = preview.plan_call_s(adaptive)
+    is_due = controller_clock.period_is_due(adaptive.controller, call_s, inputs.n_ranges, now_ns)
     due = FOR_PERIOD if is_due else 0
     return due | FOR_SAMPLE if has_reading(params, adaptive, inputs) else due
 
@@ -77,7 +72,7 @@ def preview_window(params, state, inputs):
         unit vector of travel; piece of the path ahead of that point [m]
     """
     d, adaptive, sense, i = state[0].scaled, state[0].adaptive, state[0].sense, inputs[0]
-    kinematics, sample = adaptive.kinematics, adaptive.sample
+    motion, sample = adaptive.kinematics, adaptive.sample
     k = (max(sense.pose_count, 1) - 1) & (POSES - 1)
     pose_t_ns, x, y = sense.pose_t_ns[k], sense.pose[7 * k], sense.pose[7 * k + 1]
     if i.n_poses > 0:
@@ -89,16 +84,16 @@ def preview_window(params, state, inputs):
     due = preview_uses(p, adaptive, i, now_ns)
     if due == 0 or t_ns - pose_t_ns > p.pose_timeout_ns:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    v = kinematics.speed_mps
-    margin = v * PERIOD_S + REGISTRATION_M
+    v = motion.speed_mps
+    margin = v * axis_model.PERIOD_S + known_ground.REGISTRATION_M
     here = v * (now_ns - pose_t_ns) * 1e-9
     at = here - v * adaptive.latency.delay_s + sample.lead_m  # the sample
-    first, last = here, here + v * PERIOD_S * HORIZON
+    first, last = here, here + v * axis_model.PERIOD_S * HORIZON
     if due == FOR_SAMPLE:
         first = last = at
     elif due & FOR_SAMPLE != 0:
         first = min(first, at)
     x += sample.tip_x_m * d.length
     y += sample.tip_y_m * d.length
-    ux, uy = kinematics.velocity_x_mps / v, kinematics.velocity_y_mps / v
+    ux, uy = motion.velocity_x_mps / v, motion.velocity_y_mps / v
     return due, x, y, ux, uy, (first - margin) * d.length, (last + margin) * d.length

@@ -10,8 +10,6 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
 CELL_M = 1e-3  # length of a cell along the path, side of a cell of the terrain memory
-OFF_PATH_SHARE = 0.2  # … or this share of the distance along it
-MAX_HOLE_CELLS = 8  # holes up to this long are bridged
 
 
 @jit
@@ -35,7 +33,7 @@ def is_off_path(adaptive, c, s_m):
     """Whether cell c was measured away from the point of the path at an arc length."""
     buffer = adaptive.buffer
     x, y = point_at(adaptive, s_m)
-    tolerance = max(APART_M, OFF_PATH_SHARE * abs(s_m - adaptive.sample.arc_length_m))
+    tolerance = max(APART_M, 0.2 * abs(s_m - adaptive.sample.arc_length_m))
     return math.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y) > tolerance
 
 
@@ -64,7 +62,7 @@ def buffered_height(adaptive, s_m):
     buffer = adaptive.buffer
     k = math.floor(s_m / CELL_M)
     below, above = -1, -1
-    for j in range(MAX_HOLE_CELLS):
+    for j in range(8):  # longer holes are not bridged
         c = (k - j) & (BUFFER_CELLS - 1)
         if below < 0 and buffer.cell[c] == k - j + 1 and buffer.arc_length_m[c] <= s_m:
             below = c

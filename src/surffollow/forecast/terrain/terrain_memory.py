@@ -20,9 +20,6 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import MAX_PREVIEW
 
 CELLS = 1 << 16  # number of cells
-ROW_STRIDE = 40503  # cells between two rows of the table: odd, and rows side by side are far apart
-MAX_COUNT = 64.0  # heights in a mean, at most
-MAX_COORDINATE_M = CELL_M * (1 << 31)  # farther away nothing is stored
 MEMORY = np.dtype(
     [(name, np.int64) for name in ("ix", "iy", "t_ns")]
     + [(name, np.float64) for name in ("n", "height_m", "n_before", "height_before_m")]
@@ -37,14 +34,14 @@ def new_memory() -> NDArray[Any]:
 
 @jit
 def cell_index(x_m):
-    """Column (row) of a coordinate; far away an unused one."""
-    return math.floor(x_m / CELL_M + 0.5) if abs(x_m) < MAX_COORDINATE_M else -1 << 40
+    """Column (row) of a coordinate; beyond 2³¹ cells an unused one."""
+    return math.floor(x_m / CELL_M + 0.5) if abs(x_m) < CELL_M * (1 << 31) else -1 << 40
 
 
 @jit
 def cell_at(memory, ix, iy):
-    """Entry of a cell."""
-    return memory[(ix + iy * ROW_STRIDE) & (CELLS - 1)]
+    """Entry of a cell; the stride of the rows is odd, and rows side by side are far apart."""
+    return memory[(ix + iy * 40503) & (CELLS - 1)]
 
 
 @jit
@@ -65,7 +62,7 @@ def store_height(memory, x_m, y_m, height_m, t_ns):
         m.ix, m.iy, m.n, m.n_before = ix, iy, 0.0, 0.0
     elif t_ns - m.t_ns > LONG_GAP_NS:
         m.n_before, m.height_before_m = m.n, m.height_m
-    m.t_ns, m.n = t_ns, min(m.n + 1.0, MAX_COUNT)
+    m.t_ns, m.n = t_ns, min(m.n + 1.0, 64.0)  # heights in a mean, at most
     m.height_m += (height_m - m.height_m) / m.n
 
 
