@@ -9,8 +9,8 @@ those of two others is blocked, or stuck. Without a majority the beams that see 
 import math
 
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height
-from surffollow.forecast.pose import footprint
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.range_prediction import longest_gap_s

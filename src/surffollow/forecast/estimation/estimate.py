@@ -6,6 +6,7 @@ from surffollow.forecast.estimation import innovation_gate, model_bank, model_we
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
+from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, path_length
 from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
@@ -99,7 +100,7 @@ def confirm_step(params, adaptive):
     n = gate.pending
     s, h = gate.pending_arc_length_m / n, gate.pending_height_m / n
     before = estimate.height_m
-    model_bank.shift_bank(adaptive.bank, h, estimate.arc_length_m - s)
+    model_bank.shift_bank(adaptive.bank, h, path_length(adaptive.kinematics, estimate.arc_length_m - s))
     blend_models(adaptive)
     noise.shift_heights(adaptive.noise, estimate.height_m - before)
     for k in range(max(0, n - PENDING_HEIGHTS), n - 1):
@@ -147,11 +148,12 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     comparable = shadow_axes.propagate_shadows(params, adaptive, over_ns)
     estimate.sample_ns = t_ns
     estimate.arc_length_m += travel
-    model_bank.propagate_bank(bank, travel)
+    way = max(travel, GROUND_SPEED_MPS * dt)
+    model_bank.propagate_bank(bank, way)
     estimate.height_m = blend_height(adaptive)
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
-    steepest = (1.0 + max(-estimate.slope, 0.0)) * travel * (since_accepted_ns * 1e-9 / dt)
+    steepest = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)
     rises_on = gate.nearer != 0 and innovation > 0.0
     rise = MAX_SLOPE * steepest if rises_on else steepest
     innovation_gate.update_travel(params, gate, travel)
@@ -174,18 +176,18 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         innovation_gate.update_scale(gate, innovation, width)
         # setpoints are for the footprint, or for the ground ahead of it where the sensor trails
         if comparable and over_ns > estimate.settle_ns:
-            model_weights.update_index(params, adaptive, travel, dt, h_m + standoff_m)
+            model_weights.update_index(params, adaptive, way, dt, h_m + standoff_m)
         noise.update_noise(adaptive, h_m)
     r = max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2
     if adapt:
-        model_bank.adapt_waves(bank, h_m, r, travel)
+        model_bank.adapt_waves(bank, h_m, r, way)
     model_bank.update_bank(bank, h_m, r)
     blend_models(adaptive)
     nearer_m = h_m - estimate.height_m
     # the models follow too slowly
     if nearer_m > innovation_gate.INNER_GATE * innovation_gate.gate_width(params, gate):
         innovation_gate.withhold_sample(gate, nearer_m, rise, True)
-    share = 1.0 - math.exp(-travel / 1.0)  # a mean over a metre
+    share = 1.0 - math.exp(-way / 1.0)  # a mean over a metre
     estimate.slope_power += share * (estimate.slope * estimate.slope - estimate.slope_power)
     if adaptive.weights.scored == 0:
         shadow_axes.reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)

@@ -11,6 +11,7 @@ import numpy as np
 
 from surffollow.forecast.estimation import model_bank, setpoint_lead
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
+from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
@@ -79,7 +80,7 @@ def compute_costs(params, adaptive):
     noise_j = params.noise_share * min(noise_m * noise_m, least_j)
     noise_l = params.noise_share * min(noise_m * noise_m, least_l)
     floor = params.score_floor_m * params.score_floor_m
-    spacing_m = adaptive.kinematics.speed_mps * adaptive.prediction.interval_s
+    spacing_m = path_speed(adaptive.kinematics) * adaptive.prediction.interval_s
     for i in range(N_MODELS):
         c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)

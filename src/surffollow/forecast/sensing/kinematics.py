@@ -8,6 +8,8 @@ from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
+# ground that moves changes at least as quickly as other ground does under a tool of this speed
+GROUND_SPEED_MPS = 0.1
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
 
@@ -106,6 +108,18 @@ def update_kinematics(params, kinematics, sense):
     near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump)
     _, _, kinematics.climb_mps, _ = velocity_between(sense, near, last)
     return jumped
+
+
+@jit
+def path_speed(kinematics):
+    """Speed along the path of the models [m/s]. A slow tool sees the ground move rather than pass."""
+    return max(kinematics.speed_mps, GROUND_SPEED_MPS)
+
+
+@jit
+def path_length(kinematics, distance_m):
+    """Length on the path of the models of a distance along the way of a moving tool [m]."""
+    return distance_m * path_speed(kinematics) / max(kinematics.speed_mps, MIN_DIRECTION_SPEED_MPS)
 
 
 @jit
