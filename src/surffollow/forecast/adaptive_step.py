@@ -111,7 +111,7 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
     target_m += tested_setpoint.setpoint_shift_m(adaptive.response)
     planned = adaptive.plan.setpoint_m
     if ahead.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
-        planned = max(planned, known_ground.lowest_plan(adaptive.known, target_m))
+        planned = max(planned, known_ground.lowest_plan(adaptive, target_m))
     target_m += ahead.share * (planned - target_m)
     return target_m
 

@@ -139,8 +139,7 @@ def is_bent(adaptive, n_channels, gate_m):
 
 @jit
 def collect_heights(params, adaptive, t_ns, x_m, y_m):
-    """Heights at (x, y) by beams with a recent footprint that are not blocked, sorted; numbers of them, and of
-    those that repeat.
+    """Sorted heights at (x, y) by recent footprints of beams not blocked; their number, that of repeating ones.
 
     Parameters
     ----------

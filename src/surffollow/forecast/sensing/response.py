@@ -11,6 +11,7 @@ little more than the noise hides. A range that grows by the shift ends the run. 
 ground: it is tested by that shift, and then by a greater one, but never held.
 """
 
+from surffollow.forecast.estimation.innovation_gate import gate_width
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M, REPEAT_BAND
 from surffollow.shm.jit import jit, jit_inlined
@@ -86,15 +87,19 @@ def _begin_phase(response, phase, t_ns, tool_z_m, lift_m):
 
 
 @jit
-def _count_repeats(response, range_m, sigma_m):
-    """Count ranges in a row that repeat the first one, and update the usual number of a good sensor."""
-    if response.repeats > 0 and abs(range_m - response.repeat_m) <= REPEAT_BAND * sigma_m:
+def _count_repeats(params, adaptive, range_m, tool_z_m):
+    """Count ranges in a row that repeat the first one, and update the usual number of a good sensor.
+
+    Repeats that end with an outlier were a fault, and are not usual.
+    """
+    response, change_m = adaptive.response, abs(range_m - adaptive.response.repeat_m)
+    if response.repeats > 0 and change_m <= REPEAT_BAND * adaptive.noise.sigma_m:
         response.repeats += 1
         return
-    if response.phase == RESPONSE_RUN:
+    if response.phase == RESPONSE_RUN and change_m <= gate_width(params, adaptive.gate):
         faded = response.usual_repeats + (response.repeats - response.usual_repeats) / RUN_SAMPLES
         response.usual_repeats = max(faded, response.repeats)
-    response.repeats, response.repeat_m = 1, range_m
+    response.repeats, response.repeat_m, response.repeat_z_m = 1, range_m, tool_z_m
 
 
 @jit
@@ -266,7 +271,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     band = mean_band_m(sigma, number)
     begins = response.t_ns == 0 or not 0.0 < (t_ns - response.t_ns) * 1e-9 <= gap_s
     response.t_ns = t_ns
-    _count_repeats(response, range_m, adaptive.noise.sigma_m)
+    _count_repeats(params, adaptive, range_m, tool_z_m)
     _update_mean(response, range_m, sigma, number)
     if begins or _responds(response, band):
         tested = response.phase != RESPONSE_RUN or response.lift_m > 0.0
@@ -275,12 +280,25 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
         if begins or abs(range_m - response.mean_m) > BAND_SIGMAS * sigma:  # of a step the mean sees a part
             response.mean_m = range_m
         _begin_run(adaptive, tool_z_m)
-    elif response.phase == RESPONSE_RUN and t_ns < response.settled_ns:
+    elif response.phase == RESPONSE_RUN and t_ns < response.settled_ns and not _repeats(response):
         _begin_run(adaptive, tool_z_m)  # the tool is on its way back from a test
     elif response.phase == RESPONSE_RUN:
         _update_run(params, adaptive, t_ns, tool_z_m, number, band)
     elif response.phase != RESPONSE_FAILED:
         _update_test(adaptive, t_ns, tool_z_m, number, band)
+
+
+@jit
+def is_repeated(adaptive, tool_z_m):
+    """Whether the newest range repeats those before more often than usual, although the tool has moved.
+
+    Such a range is not used. It is the last one of a sensor that has lost the ground.
+    """
+    response = adaptive.response
+    band = mean_band_m(max(adaptive.noise.sigma_m, MIN_NOISE_M), mean_samples(adaptive))
+    # chance makes two of a row, now and then three
+    often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 4.0)
+    return often and abs(tool_z_m - response.repeat_z_m) > band
 
 
 @jit

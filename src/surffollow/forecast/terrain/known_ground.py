@@ -79,9 +79,13 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
 
 
 @jit
-def lowest_plan(known, sensed_m):
-    """Lowest setpoint of a plan beside that of the sensor under the tool [m]."""
-    return sensed_m - MAX_UNCONFIRMED_DESCENT_M - known.descent_m
+def lowest_plan(adaptive, sensed_m):
+    """Lowest setpoint of a plan beside that of the sensor under the tool [m].
+
+    It may descend by as much as a confirmed drop where two samples can contradict it in time.
+    """
+    in_time = 2.0 * adaptive.prediction.interval_s < 0.5 * adaptive.plant.tau_s
+    return sensed_m - MAX_UNCONFIRMED_DESCENT_M - (adaptive.known.descent_m if in_time else 0.0)
 
 
 @jit
