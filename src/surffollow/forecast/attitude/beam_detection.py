@@ -139,7 +139,7 @@ def is_bent(adaptive, n_channels, gate_m):
 
 @jit
 def collect_heights(params, adaptive, t_ns, x_m, y_m):
-    """Sorted heights at (x, y) by recent footprints of beams not blocked; their number, that of repeating ones.
+    """Sorted heights at (x, y) by beams that are recent and not blocked; their number, and of repeating ones.
 
     Parameters
     ----------
