@@ -1,0 +1,90 @@
+"""A job of any scale in a closed loop: an axis with a lag and limits, moving ground, and a range sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from surffollow import Follower
+
+P_GAIN = 0.7
+
+
+@dataclass(frozen=True)
+class Job:
+    """Stand-off and noise [m], τ, intervals of readings and poses [s], limits of the axis, window [m]."""
+
+    standoff_m: float
+    tau_s: float
+    reading_s: float
+    pose_s: float
+    v_max_mps: float
+    a_max_mps2: float
+    sigma_m: float
+    window_m: tuple[float, float]
+
+
+CELL = Job(0.1, 0.04, 0.004, 0.004, 0.5, 5.0, 0.25e-3, (0.03, 0.3))
+BOOM = Job(0.7, 0.2, 0.05, 0.02, 1.0, 5.0, 0.01, (0.2, 2.0))
+
+
+@dataclass(frozen=True)
+class Run:
+    """Clearance [m] and states of the follower per pose."""
+
+    clearance_m: np.ndarray
+    states: list[dict]
+
+    def rms_m(self, job: Job) -> float:
+        return float(np.sqrt(np.mean((self.clearance_m - job.standoff_m) ** 2)))
+
+
+def follow(
+    job: Job,
+    ground_m: Callable[[float, float], float],
+    seconds: float,
+    speed_mps: float = 0.0,
+    plain: bool = False,
+    misread: Callable[[float, float, np.random.Generator], float] | None = None,
+    seed: int = 1,
+) -> Run:
+    """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
+
+    `misread(t, range, generator)` gives the reading in place of a range [m]. The first tenth is left out.
+    """
+    rng = np.random.default_rng(seed)
+    plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
+    near_m, far_m = job.window_m
+    sensors = [{"near_m": near_m, "far_m": far_m}]
+    f = Follower({"plant": plant, "sensors": sensors}, offset_m=job.standoff_m)
+    z = z_plain = ground_m(0.0, 0.0) + job.standoff_m
+    v, target, dt, clearance, states = 0.0, z, 1e-3, [], []
+    pose_ms, reading_ms = round(1e3 * job.pose_s), round(1e3 * job.reading_s)
+    for ms in range(round(1e3 * seconds)):
+        t = ms * dt
+        x, t_ns = speed_mps * t, 10**9 + ms * 1_000_000
+        ground = ground_m(x, t)
+        if ms % pose_ms == 0:
+            f.pose(t_ns, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+            z_plain = z
+        if ms % reading_ms == 0:
+            r = z - ground + job.sigma_m * float(rng.standard_normal())
+            r = misread(t, r, rng) if misread else r
+            r = r if near_m < r < far_m else math.nan
+            f.step(t_ns, [r])
+            if plain and math.isfinite(r):
+                target = z_plain - P_GAIN * (r - job.standoff_m)
+        if ms % pose_ms == 0:
+            demand = float(f.step(t_ns, [math.nan])[2])
+            if not plain:
+                target = z + demand
+            if ms > 100 * seconds:
+                clearance.append(z - ground)
+                states.append(f.state())
+        wanted = min(max((target - z) / job.tau_s, -job.v_max_mps), job.v_max_mps)
+        v += min(max(wanted - v, -job.a_max_mps2 * dt), job.a_max_mps2 * dt)
+        z += v * dt
+    return Run(np.array(clearance), states)

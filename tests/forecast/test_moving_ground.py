@@ -1,0 +1,105 @@
+"""Ground that moves under a tool at rest, and what a sensor says that repeats its last range on a loss."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from forecast.job_loop import BOOM, CELL, follow
+
+
+@pytest.mark.parametrize("speed_taus", [0.0, 0.005, 0.02])
+@pytest.mark.parametrize("job", [CELL, BOOM], ids=["cell", "boom"])
+def test_a_slow_tool_follows_a_heaving_deck(job, speed_taus):
+    """GIVEN a deck that heaves by 0.3 stand-offs in 50 τ WHEN the tool rests or creeps THEN it follows.
+
+    Speeds are in stand-offs per τ.
+    """
+    heave_m, period_s = 0.3 * job.standoff_m, 50.0 * job.tau_s
+    speed = speed_taus * job.standoff_m / job.tau_s
+
+    def deck(x, t):
+        return heave_m * math.sin(2.0 * math.pi * t / period_s)
+
+    ours, plain = (follow(job, deck, 300.0 * job.tau_s, speed, plain) for plain in (False, True))
+    print(f"RMS {1e3 * ours.rms_m(job):.2f} mm, P loop {1e3 * plain.rms_m(job):.2f} mm")
+    assert ours.rms_m(job) < 0.4 * plain.rms_m(job)
+    assert ours.clearance_m.min() > 0.95 * job.standoff_m
+
+
+def test_ground_that_rises_under_a_resting_tool_is_followed_after_a_long_rest():
+    """GIVEN a boom at rest for 30 s WHEN the ground rises at 0.3 m/s THEN it rises: it touched, VALID."""
+    ours = follow(BOOM, lambda x, t: min(max(0.3 * (t - 30.0), 0.0), 1.0), 36.0)
+    print(f"least clearance {ours.clearance_m.min():.3f} m of {BOOM.standoff_m} m")
+    assert ours.clearance_m.min() > 0.7 * BOOM.standoff_m
+
+
+@pytest.mark.parametrize("job", [CELL, BOOM], ids=["cell", "boom"])
+def test_a_tool_at_rest_over_ground_at_rest_is_quiet(job):
+    ours = follow(job, lambda x, t: 0.0, 300.0 * job.tau_s)
+    print(f"RMS {ours.rms_m(job) / job.sigma_m:.3f} of the noise")
+    assert ours.rms_m(job) < 0.25 * job.sigma_m
+    assert {s["health"] for s in ours.states} == {"OK"}
+
+
+@pytest.mark.parametrize("speed_mps", [0.02, 0.05, 0.2])
+def test_the_slope_in_the_state_is_that_of_the_ground_at_all_speeds(speed_mps):
+    ours = follow(CELL, lambda x, t: 0.1 * x, 4.0, speed_mps)
+    slope = float(np.mean([s["slope"] for s in ours.states[500:]]))
+    assert slope == pytest.approx(0.1, abs=0.01)
+    assert abs(float(np.mean(ours.clearance_m[500:])) - CELL.standoff_m) < 0.1e-3
+
+
+def rough(seed: int):
+    """Ground of the wavelengths 2 to 14 m with an RMS of 70 mm."""
+    rng = np.random.default_rng([seed, 5])
+    lengths, phases = np.exp(rng.uniform(math.log(2.1), math.log(14.0), 12)), rng.uniform(0.0, 6.3, 12)
+    sizes = 0.07 * lengths / math.sqrt(0.5 * float(np.sum(lengths**2)))
+    return lambda x, t: float(np.dot(sizes, np.sin(2.0 * math.pi * x / lengths + phases)))
+
+
+def repeating(probability: float, mean: float):
+    """A sensor that says its last range again, for runs of a mean length, as drivers do on a loss."""
+    held, left = math.nan, 0
+
+    def misread(t, r, rng):
+        nonlocal held, left
+        if left == 0 and rng.random() < probability / mean:
+            left = 1 + int(rng.geometric(1.0 / mean))
+        if left > 0 and math.isfinite(held):
+            left -= 1
+            return held
+        held = r
+        return r
+
+    return misread
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_sensor_that_repeats_its_last_range_on_a_loss_leads_no_tool_into_the_ground(seed):
+    """GIVEN a boom at 2.5 m/s WHEN a fifth of the ranges repeat the one before THEN it keeps its distance.
+
+    Repeated ranges made the ground seem to sink with the tool: contact while VALID.
+    """
+    ours = follow(BOOM, rough(seed), 30.0, 2.5, misread=repeating(0.2, 5.0), seed=seed)
+    print(
+        f"seed {seed}: {ours.clearance_m.min():.3f} to {ours.clearance_m.max():.3f} m of {BOOM.standoff_m} m"
+    )
+    assert ours.clearance_m.min() > 0.3 * BOOM.standoff_m
+    assert ours.clearance_m.max() < 2.0 * BOOM.standoff_m
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.15])
+def test_a_coarse_sensor_is_used_although_it_repeats_its_ranges(slope):
+    """GIVEN counts of 1 mm and noise below a count WHEN the ground rises evenly THEN nothing is lost."""
+
+    def counts(t, r, rng):
+        return 1e-3 * round(r / 1e-3)
+
+    job = type(CELL)(**{**vars(CELL), "sigma_m": 0.2e-3})
+    ours = follow(job, lambda x, t: slope * x, 8.0, 0.1, misread=counts)
+    print(f"RMS {1e3 * ours.rms_m(job):.2f} mm")
+    assert ours.rms_m(job) < 0.6e-3
+    assert all("VALID" in s["status"] for s in ours.states)
