@@ -39,6 +39,9 @@ class NaiveResponse:
     repeated_m: float = 0.0
     rose: bool = False
     far_m: float = 0.1524
+    gate_m: float = 0.0
+    repeated_z_m: float = 0.0
+    unused: bool = False
 
     def _begin_run(self, z_m: float) -> None:
         self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
@@ -46,14 +49,14 @@ class NaiveResponse:
         self.rates_mps: list[float] = []
         self.shift_ns, self.lift_m = None, 0.0
 
-    def _count_repeats(self, range_m: float) -> None:
+    def _count_repeats(self, range_m: float, z_m: float) -> None:
         if self.repeats > 0 and abs(range_m - self.repeated_m) <= r.REPEAT_BAND * self.sigma_m:
             self.repeats += 1
             return
-        if self.phase == RUN:
+        if self.phase == RUN and abs(range_m - self.repeated_m) <= self.gate_m:
             faded = (1.0 - 1.0 / r.RUN_SAMPLES) * self.usual_repeats + self.repeats / r.RUN_SAMPLES
             self.usual_repeats = max(faded, self.repeats)
-        self.repeats, self.repeated_m = 1, range_m
+        self.repeats, self.repeated_m, self.repeated_z_m = 1, range_m, z_m
 
     @property
     def is_quiet(self) -> bool:
@@ -71,7 +74,7 @@ class NaiveResponse:
             self.mean_m = self.run_m = 0.0
             self.in_run = 0
         self.last_ns = t_ns
-        self._count_repeats(range_m)
+        self._count_repeats(range_m, z_m)
         self.number = min(max(self.tau_s / self.interval_s, r.MIN_READINGS), r.MAX_READINGS)
         most_m = r.BAND_SIGMAS * self.sigma_m
         step_m = range_m - self.mean_m
@@ -84,6 +87,9 @@ class NaiveResponse:
         if self.number < self.in_run < r.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
         self.band_m = r.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
+        often = self.repeats >= 4 and self.repeats >= r.REPEAT_RATIO * self.usual_repeats
+        moved = often and abs(z_m - self.repeated_z_m) > self.band_m
+        self.unused = self.repeats > 1 and (self.unused or moved)
         allowed_m = self.band_m if self.phase == RUN else r.TEST_BAND_FACTOR * self.band_m
         changed = self.phase != RUN and self.because_repeated and self.repeats == 1
         self.answer_s = self.delay_s + r.STOP_TAUS * self.tau_s + r.MIN_MEANS * self.number * self.interval_s
@@ -95,7 +101,7 @@ class NaiveResponse:
             if begins or abs(range_m - self.mean_m) > most_m:
                 self.mean_m = range_m
             self._begin_run(z_m)
-        elif self.phase == RUN and t_ns < self.settled_ns:
+        elif self.phase == RUN and t_ns < self.settled_ns and not self.is_repeated:
             self._begin_run(z_m)
         elif self.phase == RUN:
             self._look_for_a_motion(t_ns, z_m)

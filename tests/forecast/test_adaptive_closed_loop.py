@@ -176,7 +176,7 @@ def test_a_long_trail_is_not_extrapolated_farther_than_was_compared(amplitude_m,
     heights = amplitude_m * np.sin(2.0 * math.pi / wavelength_m * places)
     plain, own = (clearances_m(job, f, 1, places, heights)[4500:].std() for f in (None, job.follower()))
     print(f"standard deviation of the clearance {1e3 * own:.2f} mm, P loop {1e3 * plain:.2f} mm")
-    assert own < 0.76 * plain  # 0.80 and more over the whole trail
+    assert own < 0.78 * plain  # 0.80 and more over the whole trail
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -394,6 +394,7 @@ def test_known_ground_is_compared_as_its_naive_twin_does(seed):
     rng = np.random.default_rng(seed)
     a, inputs = zeros(FollowState)[0]["adaptive"], zeros(Inputs)[0]
     a["noise"]["sigma_m"], a["sample"]["spacing_m"] = 1e-4, 4e-4
+    a["plant"]["tau_s"], interval_s = 0.04, (4e-3, 20e-3)
     inputs["n_preview"], inputs["preview_from_m"], inputs["preview_step_m"] = 6, -2.5e-3, 1e-3
     run, peak, drops, bias = 0, 0.0, 0.0, 0.0
     for k in range(600):
@@ -416,7 +417,10 @@ def test_known_ground_is_compared_as_its_naive_twin_does(seed):
         elif agrees and peak - h > 3e-3:
             drops += (fading if k else 1.0) * max(peak - h - drops, 0.0)
         bias += float(np.clip(h - known[1] - bias, -1.5e-3, 1.5e-3)) / min(k + 1, 1.0 / SLOW_RATE)
-        assert lowest_plan(a["known"], 1.0) == pytest.approx(1.0 - 3e-3 - drops, abs=1e-12)
+        for slow in (False, True):  # two samples contradict in time, or not
+            a["prediction"]["interval_s"] = interval_s[slow]
+            lowest_m = 1.0 - 3e-3 - (0.0 if slow else drops)
+            assert lowest_plan(a, 1.0) == pytest.approx(lowest_m, abs=1e-12)
         assert a["known"]["bias_m"] == pytest.approx(bias, abs=1e-12)
         if wrong:
             assert a["known"]["trusted_from_m"] == pytest.approx(DROP_LENGTH_M)

@@ -30,12 +30,14 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
     params, adaptive = default_params(), zeros(AdaptiveState)[0]
     params["offset_m"] = STANDOFF_M
     adaptive["plant"]["tau_s"], adaptive["noise"]["sigma_m"] = tau_s, SIGMA_M
+    adaptive["weights"]["scored"] = 500
     adaptive["prediction"]["interval_s"], adaptive["sample"]["lead_m"] = interval_s, lead_m
     reset_response(adaptive["response"])
     adaptive["latency"]["delay_s"] = delay_s = float(rng.choice([0.0, 0.04]))
     rotation_failed = bool(rng.random() < 0.2)
     adaptive["rotation"]["phase"] = ROTATION_FAILED if rotation_failed else ROTATION_RUN
     twin = NaiveResponse(tau_s, interval_s, STANDOFF_M, SIGMA_M, GAP_S, lead_m, delay_s, rotation_failed)
+    twin.gate_m = float(params["gate_m"])
     seen, t_ns, z, ground, stuck = set(), 1_000_000, STANDOFF_M, 0.0, None
     in_kernel, in_twin = [], []
     slope, noisy, disobeys = 0.0, True, False
@@ -55,6 +57,7 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         record = adaptive["response"]
         assert PHASES[record["phase"]] == twin.phase, (seed, k)
         assert is_unresponsive(record) == (twin.phase == NONE)
+        assert record["unused"] == twin.unused, (seed, k)
         in_kernel.append([record[n] for n in ESTIMATES])
         in_twin.append(
             (twin.mean_m, twin.run_m, twin.repeats, twin.usual_repeats, twin.top_z_m, twin.low_z_m)

@@ -9,7 +9,7 @@ from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
 from surffollow.forecast.estimation import adaptation
 from surffollow.forecast.plant import axis_model, controller_clock, plant_identification
-from surffollow.forecast.sensing import clock, health, kinematics, measurement, response, standoff
+from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
 from surffollow.forecast.setpoint import preview_control, setpoint_blend, setpoint_limits, tested_setpoint
 from surffollow.forecast.terrain import known_ground, lookahead_sensor, preview
 from surffollow.shm import layout_adaptive
@@ -143,7 +143,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     measurement.process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if not orients and params.n_channels > 1:
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
-    stuck = response.is_unresponsive(adaptive.response)
+    stuck = health.is_stuck(adaptive)
     health.update_health(params, adaptive, sense)
     if kinematics.has_jumped(adaptive.kinematics, adaptive.clock.now_ns):
         preview.withdraw_preview(adaptive.preview)

@@ -206,6 +206,7 @@ REASON_NAMES = (
     "readings do not respond to the tool's rotation; the tool does not rotate",
     "some sensors give no reading within the window; the others count",
     "readings arrive later than they did: delayed, or the sensor's clock is slow",
+    "range repeats the ones before although the tool moves; it is not used",
 )
 (
     REASON_NONE,
@@ -222,7 +223,8 @@ REASON_NAMES = (
     REASON_ROTATION,
     REASON_SILENT,
     REASON_LATE,
-) = range(14)
+    REASON_REPEATED,
+) = range(15)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

@@ -105,6 +105,7 @@ class Response(Schema):
     settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")
     repeats = I64(doc="ranges in a row that repeat the first of them")
     repeat_z_m = F64(unit="m", doc="height of the tool then")
+    unused = I64(doc="1: the newest range repeats although the tool has moved, and is not used")
     repeat_m = F64(unit="m", doc="that range")
     usual_repeats = F64(doc="longest such run lately")
     repeated = I64(doc="1: the test is there because the range is repeated")

@@ -13,14 +13,9 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
 from surffollow.forecast.sensing.kinematics import predict_pose
+from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
-from surffollow.forecast.sensing.response import (
-    BAND_SIGMAS,
-    MOTION_BANDS,
-    TEST_BAND_FACTOR,
-    mean_band_m,
-    mean_samples,
-)
+from surffollow.forecast.sensing.response import MOTION_BANDS
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
 

@@ -6,7 +6,7 @@ from surffollow.forecast.estimation import innovation_gate, model_bank, model_we
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
-from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, path_length
+from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS
 from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
@@ -94,13 +94,16 @@ def restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt):
 
 
 @jit
-def confirm_step(params, adaptive):
-    """Shift every model to the mean of the pending samples; these enter the terrain buffer."""
+def confirm_step(params, adaptive, stretch):
+    """Shift every model to the mean of the pending samples; these enter the terrain buffer.
+
+    `stretch` is the length on the path of the models per distance travelled.
+    """
     gate, estimate = adaptive.gate, adaptive.estimate
     n = gate.pending
     s, h = gate.pending_arc_length_m / n, gate.pending_height_m / n
     before = estimate.height_m
-    model_bank.shift_bank(adaptive.bank, h, path_length(adaptive.kinematics, estimate.arc_length_m - s))
+    model_bank.shift_bank(adaptive.bank, h, stretch * (estimate.arc_length_m - s))
     blend_models(adaptive)
     noise.shift_heights(adaptive.noise, estimate.height_m - before)
     for k in range(max(0, n - PENDING_HEIGHTS), n - 1):
@@ -168,7 +171,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
         return True
     if outside:
-        confirm_step(params, adaptive)
+        confirm_step(params, adaptive, way / travel)
         innovation = h_m - estimate.height_m
     else:
         innovation_gate.accept_sample(params, gate)

@@ -30,11 +30,23 @@ def dropout_tolerance_s(prediction):
 
 
 @jit
+def is_missing(adaptive, since_ns):
+    """Whether a sample after this time is missing, beyond the usual delay and tolerance."""
+    tolerance_ns = max(MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
+    return adaptive.clock.now_ns - since_ns > adaptive.latency.delay_s * 1e9 + tolerance_ns
+
+
+@jit
 def is_dropout(adaptive):
     """Whether samples of channel 0 are missing."""
-    return adaptive.clock.now_ns - adaptive.hold.t_ns > adaptive.latency.delay_s * 1e9 + max(
-        MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9
-    )
+    return is_missing(adaptive, adaptive.hold.t_ns)
+
+
+@jit
+def is_stuck(adaptive):
+    """Whether the range did not respond to a test, or repeats itself for as long as a drop-out lasts."""
+    repeats = adaptive.response.unused != 0 and is_missing(adaptive, adaptive.estimate.accepted_ns)
+    return repeats or is_unresponsive(adaptive.response)
 
 
 @jit
@@ -107,7 +119,7 @@ def present_health(params, adaptive, silent):
     silent_bits = silent << layout.REASON_CHANNELS
     if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < USUAL_SAMPLES:
         return layout.FAULT, layout.REASON_NOT_FINITE
-    if is_unresponsive(adaptive.response):
+    if is_stuck(adaptive):
         return layout.STUCK, layout.REASON_STUCK
     if samples == 0 or is_dropout(adaptive):
         if samples > 0 and is_outside(params, adaptive):
@@ -128,6 +140,8 @@ def present_health(params, adaptive, silent):
         reason = layout.REASON_SILENT | silent_bits
     elif is_late(params, adaptive):
         reason = layout.REASON_LATE
+    elif adaptive.response.unused != 0:
+        reason = layout.REASON_REPEATED
     elif adaptive.gate.pending > 0:
         reason = layout.REASON_PENDING
     return layout.OK if reason == layout.REASON_NONE else layout.SUSPECT, reason

@@ -14,6 +14,14 @@ ground: it is tested by that shift, and then by a greater one, but never held.
 from surffollow.forecast.estimation.innovation_gate import gate_width
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M, REPEAT_BAND
+from surffollow.forecast.sensing.mean_range import (
+    BAND_SIGMAS,
+    MAX_READINGS,
+    MIN_READINGS,
+    TEST_BAND_FACTOR,
+    mean_band_m,
+    mean_samples,
+)
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import (
     RESPONSE_FAILED,
@@ -36,27 +44,11 @@ QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a f
 USUAL_SPREAD_SAMPLES = 256  # in that deviation
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 RUN_SAMPLES = 64  # in the mean of a run, and runs in the usual length of repeated ranges
-MIN_READINGS, MAX_READINGS = 2.0, 8.0  # samples in the mean range: those of a time constant
-BAND_SIGMAS = 3.0  # of the mean: the range has changed; of a sample, which moves the mean by no more
-TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
 # of a lift: a tool that misses less has obeyed it. In an ascent the setpoint of one that does not obey stays
 # ahead by all of it
 OBEYED = (0.5, 0.65)
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
-
-
-@jit
-def mean_samples(adaptive):
-    """Samples in a mean range: those of a time constant, within limits."""
-    interval_s = max(adaptive.prediction.interval_s, 1e-6)
-    return min(max(adaptive.plant.tau_s / interval_s, MIN_READINGS), MAX_READINGS)
-
-
-@jit
-def mean_band_m(sigma_m, number):
-    """Change of a mean of `number` ranges of standard deviation σ that noise explains [m]."""
-    return BAND_SIGMAS * sigma_m / number**0.5
 
 
 @jit
@@ -272,6 +264,13 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     begins = response.t_ns == 0 or not 0.0 < (t_ns - response.t_ns) * 1e-9 <= gap_s
     response.t_ns = t_ns
     _count_repeats(params, adaptive, range_m, tool_z_m)
+    # chance makes two of a row, now and then three; ranges without noise may be the same for long
+    often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 4.0) and sigma > MIN_NOISE_M
+    known = adaptive.weights.scored > 100  # the noise has come down from that assumed at a start
+    if response.repeats == 1:
+        response.unused = 0
+    elif often and known and abs(tool_z_m - response.repeat_z_m) > band:
+        response.unused = 1
     _update_mean(response, range_m, sigma, number)
     if begins or _responds(response, band):
         tested = response.phase != RESPONSE_RUN or response.lift_m > 0.0
@@ -289,19 +288,6 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
 
 
 @jit
-def is_repeated(adaptive, tool_z_m):
-    """Whether the newest range repeats those before more often than usual, although the tool has moved.
-
-    Such a range is not used. It is the last one of a sensor that has lost the ground.
-    """
-    response = adaptive.response
-    band = mean_band_m(max(adaptive.noise.sigma_m, MIN_NOISE_M), mean_samples(adaptive))
-    # chance makes two of a row, now and then three
-    often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 4.0)
-    return often and abs(tool_z_m - response.repeat_z_m) > band
-
-
-@jit
 def is_unresponsive(response):
     """Whether the range did not follow a test, and has not changed since."""
     return response.phase == RESPONSE_FAILED
@@ -310,5 +296,5 @@ def is_unresponsive(response):
 @jit
 def reset_response(response):
     """Begin anew with the next sample."""
-    response.t_ns = response.repeats = 0
+    response.t_ns = response.repeats = response.unused = 0
     response.phase = RESPONSE_RUN
