@@ -53,9 +53,10 @@ class NaiveResponse:
         if self.repeats > 0 and abs(range_m - self.repeated_m) <= r.REPEAT_BAND * self.sigma_m:
             self.repeats += 1
             return
-        if self.phase == RUN and abs(range_m - self.repeated_m) <= self.gate_m:
-            faded = (1.0 - 1.0 / r.RUN_SAMPLES) * self.usual_repeats + self.repeats / r.RUN_SAMPLES
-            self.usual_repeats = max(faded, self.repeats)
+        longer, outlier = self.repeats > self.usual_repeats, abs(range_m - self.repeated_m) > self.gate_m
+        share = 1.0 / r.RUN_SAMPLES if not longer else 0.125 if outlier else 1.0
+        if self.phase == RUN:
+            self.usual_repeats = (1.0 - share) * self.usual_repeats + share * self.repeats
         self.repeats, self.repeated_m, self.repeated_z_m = 1, range_m, z_m
 
     @property

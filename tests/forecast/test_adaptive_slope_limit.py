@@ -68,7 +68,7 @@ def test_falling_ground_that_is_not_seen_counts_as_level(
     slope, trail_m, interval_s, ahead_m, lead_m, level_m
 ):
     a = planes(slope)
-    a["sample"]["lead_m"], a["kinematics"]["speed_mps"] = -trail_m, 0.1
+    a["sample"]["lead_m"] = -trail_m
     a["prediction"]["interval_s"], a["plant"]["tau_s"] = interval_s, 0.04
     compute_setpoints(a, ahead_m, lead_m, 3.0, 0.1)
     straight = np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 1] > 1.0))

@@ -193,7 +193,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         setpoint_limits.mark_dryrun(setpoint, 1)
     elif params.run == layout.RUN_FREEZE:
         setpoint_limits.release_setpoint(setpoint)  # no demand is applied
-    output.delta_h_m = estimate.slope * kinematics.path_length(adaptive.kinematics, max(ahead, 0.0))
+    output.delta_h_m = estimate.slope * max(ahead, 0.0)
     output.error_m = params.offset_m - adaptive.hold.range_m
     return status
 
@@ -206,9 +206,7 @@ def publish_estimate(params, adaptive, output):
     adaptation.publish_adaptation(params, adaptive, output)
     output.height_m, output.speed_mps = estimate.height_m, motion.speed_mps
     # a slope along the path needs a direction of travel
-    output.slope = 0.0
-    if motion.speed_mps >= kinematics.MIN_DIRECTION_SPEED_MPS:
-        output.slope = kinematics.path_length(motion, estimate.slope)
+    output.slope = 0.0 if kinematics.is_at_rest(motion) else estimate.slope
     output.intervals = estimate.samples
     attitude.publish_normal(adaptive, output)
     output.health, output.reason, output.faults = found.state, found.reason, found.faults

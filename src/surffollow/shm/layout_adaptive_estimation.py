@@ -113,6 +113,8 @@ class Estimate(Schema):
     arc_length_m = F64(unit="m", doc="distance travelled by the footprint")
     height_m = F64(unit="m", doc="blended height")
     slope = F64(unit="1", doc="blended slope")
+    rests = I64(doc="1: the tool rests, and the path is time")
+    kept_slope = F64(unit="1", doc="slope along the way before a rest")
     slope_power = F64(unit="1", doc="mean squared slope over the last metre")
     gain = F64(doc="gain of the blended height")
     sigma_m = F64(unit="m", doc="standard deviation of the height, spread of the models included")

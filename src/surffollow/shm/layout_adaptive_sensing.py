@@ -149,6 +149,7 @@ class Beams(Schema):
     mean_m = F64(BEAMS, unit="m", doc="mean of the newest ranges per beam")
     run_mean_m = F64(BEAMS, unit="m", doc="that when a run of constant ranges began")
     run_z_m = F64(BEAMS, unit="m", doc="height of the sensor then")
+    run_ns = I64(BEAMS, unit="ns", doc="timestamp of that")
     run_changes = I64(BEAMS, doc="`changes` then")
     run_motion_m = F64(BEAMS, unit="m", doc="greatest motion of the sensor since then")
     changes = I64(doc="changes of mean ranges, of beams by turns")

@@ -11,7 +11,7 @@ import math
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
+from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
@@ -21,7 +21,7 @@ from surffollow.shm.jit import jit
 
 CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
 STUCK_SAMPLES = 12.0  # a stuck beam repeats its range for so many usual intervals longer than a drop-out
-CHANGES = 6  # of the ranges of two others by turns, while that of a beam stays: more than chance
+CHANGES = 6  # of the ranges of two others by turns in a second, while that of a beam stays: no chance
 WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
 
 
@@ -102,8 +102,11 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
             beams.mean_m[c] = range_m
         beams.changes += 1 if beams.changed != c else 0
         beams.changed, beams.run_changes[c] = c, beams.changes
-        beams.run_mean_m[c], beams.run_z_m[c] = beams.mean_m[c], sensor_z_m
-        beams.run_motion_m[c] = 0.0
+        beams.run_mean_m[c], beams.run_ns[c] = beams.mean_m[c], t_ns
+        beams.run_z_m[c], beams.run_motion_m[c] = sensor_z_m, 0.0
+    elif t_ns - beams.run_ns[c] > LONG_GAP_NS and not is_blocked(params, adaptive, c):
+        beams.run_ns[c], beams.run_changes[c] = t_ns, beams.changes
+        beams.run_z_m[c], beams.run_motion_m[c] = sensor_z_m, 0.0
     beams.run_motion_m[c] = max(beams.run_motion_m[c], abs(sensor_z_m - beams.run_z_m[c]))
 
 

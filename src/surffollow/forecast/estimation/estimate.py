@@ -6,7 +6,7 @@ from surffollow.forecast.estimation import innovation_gate, model_bank, model_we
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
-from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS
+from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest
 from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
@@ -63,7 +63,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         setpoint_lead.reset_lead(adaptive.lead)
         shadow_axes.reset_effort(shadow)
         noise.initialise_noise(adaptive.noise)
-    estimate.samples = 1
+    estimate.samples, estimate.kept_slope = 1, 0.0
     if fresh or adapt:
         model_weights.update_weights(params, adaptive, math.inf)  # without their filter
     innovation_gate.reset_gate(gate, fresh)
@@ -113,10 +113,25 @@ def confirm_step(params, adaptive, stretch):
 
 
 @jit
+def change_path(adaptive, rests):
+    """Begin the path of a tool that stops or starts; slopes over distance are kept over a rest.
+
+    The path of a tool at rest is time. Its slopes are rates at which the ground moves.
+    """
+    estimate, kept = adaptive.estimate, 0.0 if rests else adaptive.estimate.kept_slope
+    estimate.rests = 1 if rests else 0
+    if rests:
+        estimate.kept_slope = estimate.slope
+    model_bank.begin_path(adaptive.bank, kept)
+    estimate.slope = kept
+
+
+@jit
 def turn_estimate(adaptive, cosine):
     """Turn the direction of travel by an angle of this cosine; −1: the tool goes back."""
     model_bank.turn_bank(adaptive.bank, cosine)
     adaptive.estimate.slope *= cosine
+    adaptive.estimate.kept_slope *= cosine
 
 
 @jit
@@ -151,8 +166,13 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     comparable = shadow_axes.propagate_shadows(params, adaptive, over_ns)
     estimate.sample_ns = t_ns
     estimate.arc_length_m += travel
-    way = max(travel, GROUND_SPEED_MPS * dt)
-    model_bank.propagate_bank(bank, way)
+    rests = is_at_rest(kinematics)
+    if rests != (estimate.rests != 0):
+        change_path(adaptive, rests)
+    # ground that moves changes at least as much as other ground does over this distance
+    moved_m = max(travel, GROUND_SPEED_MPS * dt)
+    way = moved_m if rests else travel
+    model_bank.propagate_bank(bank, way, moved_m)
     estimate.height_m = blend_height(adaptive)
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too

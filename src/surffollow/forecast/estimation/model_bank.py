@@ -86,9 +86,16 @@ def compute_transition(bank, d_m):
 
 
 @jit_inlined
-def propagate_bank(bank, d):
-    """Propagate all models over a distance travelled [m]: x ← F x, P ← F P Fᵀ + Q."""
-    compute_transition(bank, d)
+def propagate_bank(bank, way_m, d):
+    """Propagate all models: x ← F x, P ← F P Fᵀ + Q.
+
+    Parameters
+    ----------
+    bank : record of `Bank` (updated)
+    way_m : float64  length of the path, in F [m]
+    d : float64      length in Q: that, or more where the ground may have moved [m]
+    """
+    compute_transition(bank, way_m)
     d2, d3 = 0.5 * d * d, d * d * d / 3.0
     for i in range(N_MODELS):
         f01, f11, f21 = bank.f01[i], bank.f11[i], bank.f21[i]
@@ -164,6 +171,14 @@ def turn_bank(bank, cosine):
         bank.p01[i], bank.p02[i], bank.p12[i] = c * bank.p01[i], c2 * bank.p02[i], c * c2 * bank.p12[i]
         bank.p11[i] = c2 * bank.p11[i] + (1.0 - c2) * INITIAL_SLOPE_VARIANCE[i]
         bank.p22[i] = c2 * c2 * bank.p22[i] + (1.0 - c2 * c2) * INITIAL_CURVATURE_VARIANCE[i]
+
+
+@jit
+def begin_path(bank, slope):
+    """Begin another path at the same height: slopes and curvatures as uncertain as at a start."""
+    turn_bank(bank, 0.0)
+    for i in range(WAVES):
+        bank.slope[i] = slope if INITIAL_SLOPE_VARIANCE[i] > 0.0 else 0.0
 
 
 @jit_inlined

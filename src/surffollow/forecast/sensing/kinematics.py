@@ -111,15 +111,15 @@ def update_kinematics(params, kinematics, sense):
 
 
 @jit
-def path_speed(kinematics):
-    """Speed along the path of the models [m/s]. A slow tool sees the ground move rather than pass."""
-    return max(kinematics.speed_mps, GROUND_SPEED_MPS)
+def is_at_rest(kinematics):
+    """Whether the tool has no direction of travel."""
+    return kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS
 
 
 @jit
-def path_length(kinematics, distance_m):
-    """Length on the path of the models of a distance along the way of a moving tool [m]."""
-    return distance_m * path_speed(kinematics) / max(kinematics.speed_mps, MIN_DIRECTION_SPEED_MPS)
+def path_speed(kinematics):
+    """Speed along the path of the models [m/s]: at rest the ground may move, and its path is time."""
+    return GROUND_SPEED_MPS if is_at_rest(kinematics) else kinematics.speed_mps
 
 
 @jit

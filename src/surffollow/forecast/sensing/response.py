@@ -13,7 +13,7 @@ ground: it is tested by that shift, and then by a greater one, but never held.
 
 from surffollow.forecast.estimation.innovation_gate import gate_width
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.quantities import APART_M, REPEAT_BAND
+from surffollow.forecast.quantities import APART_M, CONFIRMED_SAMPLES, REPEAT_BAND
 from surffollow.forecast.sensing.mean_range import (
     BAND_SIGMAS,
     MAX_READINGS,
@@ -82,15 +82,15 @@ def _begin_phase(response, phase, t_ns, tool_z_m, lift_m):
 def _count_repeats(params, adaptive, range_m, tool_z_m):
     """Count ranges in a row that repeat the first one, and update the usual number of a good sensor.
 
-    Repeats that end with an outlier were a fault, and are not usual.
+    Repeats that end with an outlier may have been a loss, unless they are frequent: some sensors hold ranges.
     """
     response, change_m = adaptive.response, abs(range_m - adaptive.response.repeat_m)
     if response.repeats > 0 and change_m <= REPEAT_BAND * adaptive.noise.sigma_m:
         response.repeats += 1
         return
-    if response.phase == RESPONSE_RUN and change_m <= gate_width(params, adaptive.gate):
-        faded = response.usual_repeats + (response.repeats - response.usual_repeats) / RUN_SAMPLES
-        response.usual_repeats = max(faded, response.repeats)
+    more, outlier = response.repeats - response.usual_repeats, change_m > gate_width(params, adaptive.gate)
+    if response.phase == RESPONSE_RUN:
+        response.usual_repeats += more / (RUN_SAMPLES if more < 0.0 else 8.0 if outlier else 1.0)
     response.repeats, response.repeat_m, response.repeat_z_m = 1, range_m, tool_z_m
 
 
@@ -266,7 +266,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     _count_repeats(params, adaptive, range_m, tool_z_m)
     # chance makes two of a row, now and then three; ranges without noise may be the same for long
     often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 4.0) and sigma > MIN_NOISE_M
-    known = adaptive.weights.scored > 100  # the noise has come down from that assumed at a start
+    known = adaptive.weights.scored > CONFIRMED_SAMPLES  # or the noise is a guess
     if response.repeats == 1:
         response.unused = 0
     elif often and known and abs(tool_z_m - response.repeat_z_m) > band:

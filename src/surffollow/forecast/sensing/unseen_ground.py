@@ -3,7 +3,6 @@
 import math
 
 from surffollow.forecast.estimation.innovation_gate import is_slow
-from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
@@ -18,7 +17,7 @@ def rise_rate(adaptive):
     slope = max(math.sqrt(estimate.slope_power), estimate.slope)
     if response.phase != RESPONSE_RUN:
         slope = max(slope, response.slope)
-    return slope * path_speed(adaptive.kinematics)
+    return slope * adaptive.kinematics.speed_mps
 
 
 @jit

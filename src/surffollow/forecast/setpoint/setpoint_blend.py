@@ -6,7 +6,7 @@ from surffollow.forecast import quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import health, measurement, unseen_ground
-from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, path_length, path_speed
+from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
@@ -52,7 +52,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
     model_bank.extrapolate_bank(bank, ahead_m)
     margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + abs(lead_m))
-    unseen_m = min(max(path_length(adaptive.kinematics, -adaptive.sample.lead_m), 0.0), ahead_m)
+    unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
     if innovation_gate.is_slow(adaptive):
         unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
     # a tool that goes back comes to ground that was seen
@@ -108,11 +108,9 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     turned = measurement.has_turned_back(adaptive)
     ahead_m = ahead_m if turned else max(ahead_m - shadow_axes.uncompared_m(adaptive), 0.0)
     speed_mps = path_speed(kinematics)
-    if kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS:
+    if is_at_rest(kinematics):
         since_s = (clock.now_ns - estimate.sample_ns) * 1e-9
         ahead_m = speed_mps * (since_s + controller_clock.mean_wait_s(params, adaptive.controller))
-    else:
-        ahead_m = path_length(kinematics, ahead_m)
     lead_length_m = speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(speed_mps * dropout, max(ahead_m, 0.0))

@@ -5,7 +5,6 @@ import math
 from surffollow.forecast.estimation import model_bank, noise
 from surffollow.forecast.plant.axis_model import MAX_MODEL_ERROR_M, PERIOD_S
 from surffollow.forecast.quantities import USUAL_SAMPLES
-from surffollow.forecast.sensing.kinematics import path_length
 from surffollow.forecast.terrain import known_ground, terrain_buffer
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
@@ -19,7 +18,7 @@ PREDICTION_M = 0.04  # over which predictions by the bank are compared; farther 
 def bank_rise(adaptive, ahead_m):
     """Blended change of height from the newest sample to a point ahead of it [m]."""
     bank, weights, rise = adaptive.bank, adaptive.weights, 0.0
-    model_bank.extrapolate_bank(bank, path_length(adaptive.kinematics, ahead_m))
+    model_bank.extrapolate_bank(bank, ahead_m)
     for i in range(N_MODELS):
         rise += weights.weight[i] * bank.rise_m[i]
     return rise
