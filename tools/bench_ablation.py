@@ -123,7 +123,11 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "return params.max_wait_s",
         )
     ],
-    "adaptive wave numbers": [("estimate", "model_bank.adapt_waves(bank, h_m, r, travel)", "pass")],
+    "adaptive wave numbers": [("estimate", "model_bank.adapt_waves(bank, h_m, r, way)", "pass")],
+    "path at rest": [
+        ("kinematics", "return GROUND_SPEED_MPS if", "return 1e-3 if"),
+        ("estimate", "GROUND_SPEED_MPS * dt", "1e-3 * dt"),
+    ],
     "decaying slopes": [
         ("model_bank", "((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))", "((1e3, 0.0), (1e3, 0.0), (1e3, 0.0))")
     ],
@@ -152,7 +156,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "test of the response": [("response", "elif not rises and (late or suspicious or far):", "elif False:")],
     "shift before a hold": [("response", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
-    "repeated ranges": [("response", "<= REPEAT_BAND * sigma_m", "< -sigma_m")],
+    "repeated ranges": [("response", "<= REPEAT_BAND * adaptive.noise.sigma_m", "< -1.0")],
 }
 
 

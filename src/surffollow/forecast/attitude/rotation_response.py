@@ -14,6 +14,7 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between
 from surffollow.forecast.quantities import MISSING_NS
 from surffollow.forecast.sensing import response
+from surffollow.forecast.sensing.mean_range import TEST_BAND_FACTOR
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
@@ -86,7 +87,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     mean[0], mean[1] = mean[0] + share * (dx - mean[0]), mean[1] + share * (dy - mean[1])
     # beyond four standard deviations of the mean the deviation has changed
     band = 4.0 * max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(share / plane.spread_m2)
-    factor = 1.0 if rotation.phase == ROTATION_RUN else response.TEST_BAND_FACTOR
+    factor = 1.0 if rotation.phase == ROTATION_RUN else TEST_BAND_FACTOR
     if math.hypot(mean[0] - run[0], mean[1] - run[1]) > factor * band:
         _begin_run(rotation, t_ns, axis)
         return
