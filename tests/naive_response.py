@@ -88,7 +88,7 @@ class NaiveResponse:
         if self.number < self.in_run < r.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
         self.band_m = r.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
-        often = self.repeats >= 4 and self.repeats >= r.REPEAT_RATIO * self.usual_repeats
+        often = self.repeats >= max(5, r.REPEAT_RATIO * self.usual_repeats) and self.usual_repeats > 0.0
         moved = often and abs(z_m - self.repeated_z_m) > self.band_m
         self.unused = self.repeats > 1 and (self.unused or moved)
         allowed_m = self.band_m if self.phase == RUN else r.TEST_BAND_FACTOR * self.band_m

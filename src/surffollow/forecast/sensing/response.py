@@ -13,7 +13,7 @@ ground: it is tested by that shift, and then by a greater one, but never held.
 
 from surffollow.forecast.estimation.innovation_gate import gate_width
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.quantities import APART_M, CONFIRMED_SAMPLES, REPEAT_BAND
+from surffollow.forecast.quantities import APART_M, REPEAT_BAND
 from surffollow.forecast.sensing.mean_range import (
     BAND_SIGMAS,
     MAX_READINGS,
@@ -264,9 +264,9 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     begins = response.t_ns == 0 or not 0.0 < (t_ns - response.t_ns) * 1e-9 <= gap_s
     response.t_ns = t_ns
     _count_repeats(params, adaptive, range_m, tool_z_m)
-    # chance makes two of a row, now and then three; ranges without noise may be the same for long
-    often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 4.0) and sigma > MIN_NOISE_M
-    known = adaptive.weights.scored > CONFIRMED_SAMPLES  # or the noise is a guess
+    # chance makes four of a row now and then; without noise, or before it is known, they are the same for long
+    often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 5.0) and sigma > MIN_NOISE_M
+    known = adaptive.weights.scored > 100 and response.usual_repeats > 0.0
     if response.repeats == 1:
         response.unused = 0
     elif often and known and abs(tool_z_m - response.repeat_z_m) > band:
