@@ -264,7 +264,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     begins = response.t_ns == 0 or not 0.0 < (t_ns - response.t_ns) * 1e-9 <= gap_s
     response.t_ns = t_ns
     _count_repeats(params, adaptive, range_m, tool_z_m)
-    # chance makes four of a row now and then; without noise, or before it is known, they are the same for long
+    # chance makes four of a row now and then; without noise, or before it is known, ranges stay for long
     often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 5.0) and sigma > MIN_NOISE_M
     known = adaptive.weights.scored > 100 and response.usual_repeats > 0.0
     if response.repeats == 1:
