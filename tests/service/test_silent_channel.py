@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 from running_service import Service, drive
 
-DEAD = 'mode = "adaptive"\n[[driver.faults]]\nkind = "invalid"\nchannel = 1'
+# `status` takes some time to start, without a pose
+DEAD = 'mode = "adaptive"\npose_timeout = "20 s"\n[[driver.faults]]\nkind = "invalid"\nchannel = 1'
 
 
 def test_the_status_names_a_dead_sensor(make_service: Callable[..., Service]) -> None:
