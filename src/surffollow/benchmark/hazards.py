@@ -33,16 +33,7 @@ from surffollow.sim.plant import PlantConfig, axis_step, setpoint_for
 
 P_GAIN, P_TIMEOUT_MS, P_TIMEOUT_INTERVALS = 0.7, 130, 2.5
 HELD_MS = 100
-NOISY = (
-    "blocked",
-    "frozen",
-    "constant and far",
-    "all blocked",
-    "blocked and slow",
-    "blocked on a slope",
-    "one of three blocked",
-    "one of four blocked",
-)
+NOISY = tuple(f for f in KINDS if "blocked" in f or f in ("frozen", "constant and far"))
 PLANT = PlantConfig()
 
 

@@ -26,7 +26,7 @@ def distance_ahead(params, adaptive, sense):
     params, adaptive, sense : records of `Params`, `AdaptiveState`, `SenseState`
     """
     motion, sample, newest = adaptive.kinematics, adaptive.sample, (sense.pose_count - 1) & (layout.POSES - 1)
-    if motion.speed_mps < kinematics.MIN_DIRECTION_SPEED_MPS:
+    if kinematics.is_at_rest(motion):
         return 0.0
     gap_x = sense.pose[7 * newest] + sample.tip_x_m - sample.x_m
     gap_y = sense.pose[7 * newest + 1] + sample.tip_y_m - sample.y_m

@@ -148,7 +148,7 @@ class Beams(Schema):
     repeat_ns = I64(BEAMS, unit="ns", doc="when that run began; 0: none yet")
     mean_m = F64(BEAMS, unit="m", doc="mean of the newest ranges per beam")
     run_mean_m = F64(BEAMS, unit="m", doc="that when a run of constant ranges began")
-    run_z_m = F64(BEAMS, unit="m", doc="height of the sensor then")
+    run_z_m = F64(BEAMS, unit="m", doc="height of the sensor when changes of the others are counted from")
     run_ns = I64(BEAMS, unit="ns", doc="timestamp of that")
     run_changes = I64(BEAMS, doc="`changes` then")
     run_motion_m = F64(BEAMS, unit="m", doc="greatest motion of the sensor since then")

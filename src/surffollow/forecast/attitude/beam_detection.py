@@ -81,6 +81,13 @@ def beam_noise_m(params, adaptive):
 
 
 @jit
+def count_changes_anew(beams, c, t_ns, sensor_z_m):
+    """Count the changes of other ranges, and the motion of the sensor, from now on."""
+    beams.run_ns[c], beams.run_changes[c] = t_ns, beams.changes
+    beams.run_z_m[c], beams.run_motion_m[c] = sensor_z_m, 0.0
+
+
+@jit
 def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
     """Update the mean range of a beam; a run of constant ranges ends when it has changed.
 
@@ -101,12 +108,10 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
         if begins or abs(deviation) > most:  # of a step the mean sees a part
             beams.mean_m[c] = range_m
         beams.changes += 1 if beams.changed != c else 0
-        beams.changed, beams.run_changes[c] = c, beams.changes
-        beams.run_mean_m[c], beams.run_ns[c] = beams.mean_m[c], t_ns
-        beams.run_z_m[c], beams.run_motion_m[c] = sensor_z_m, 0.0
+        beams.changed, beams.run_mean_m[c] = c, beams.mean_m[c]
+        count_changes_anew(beams, c, t_ns, sensor_z_m)
     elif t_ns - beams.run_ns[c] > LONG_GAP_NS and not is_blocked(params, adaptive, c):
-        beams.run_ns[c], beams.run_changes[c] = t_ns, beams.changes
-        beams.run_z_m[c], beams.run_motion_m[c] = sensor_z_m, 0.0
+        count_changes_anew(beams, c, t_ns, sensor_z_m)
     beams.run_motion_m[c] = max(beams.run_motion_m[c], abs(sensor_z_m - beams.run_z_m[c]))
 
 

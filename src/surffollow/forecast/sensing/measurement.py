@@ -44,7 +44,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if close or fold.close != 0:
         fold_back.watch_fold_back(params, fold, range_m, sensor_z)
     adapt = params.adapt != 0 and params.run != RUN_FREEZE
-    at_rest = adaptive.kinematics.speed_mps < kinematics.MIN_DIRECTION_SPEED_MPS
+    at_rest = kinematics.is_at_rest(adaptive.kinematics)
     if orients:
         x, y = pose[0], pose[1]
         accepted, h = plane_fit.plane_height(params, adaptive, t, x, y)
@@ -155,7 +155,7 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
     sample.tip_x_m = sample.tip_y_m = 0.0
     if not orients:
         sample.tip_x_m, sample.tip_y_m, _ = standoff.axis_ground_point(params, pose, 0)
-    if motion.speed_mps >= kinematics.MIN_DIRECTION_SPEED_MPS:
+    if not kinematics.is_at_rest(motion):
         gap_x, gap_y = x_m - pose[0] - sample.tip_x_m, y_m - pose[1] - sample.tip_y_m
         lead = kinematics.distance_along(motion, gap_x, gap_y)
         sample.lead_m = clock.follow_usual(sample.lead_m if known else 0.0, lead)
@@ -190,7 +190,7 @@ def follow_heading(adaptive, x_m, y_m):
     x_m, y_m : float64  the footprint; `sample` has the one before
     """
     motion, sample = adaptive.kinematics, adaptive.sample
-    if motion.speed_mps < kinematics.MIN_DIRECTION_SPEED_MPS:
+    if kinematics.is_at_rest(motion):
         return
     way_x, way_y = x_m - sample.x_m, y_m - sample.y_m
     along = way_x * sample.heading_x + way_y * sample.heading_y

@@ -5,7 +5,7 @@ Their heights enter the terrain buffer; a sample that disagrees with the one bef
 
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import APART_M
-from surffollow.forecast.sensing.kinematics import MIN_DIRECTION_SPEED_MPS, distance_along, predict_pose
+from surffollow.forecast.sensing.kinematics import distance_along, is_at_rest, predict_pose
 from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M
 from surffollow.forecast.terrain.terrain_buffer import CELL_M, store_ground
 from surffollow.shm.jit import jit
@@ -25,7 +25,7 @@ def observe_lookahead(params, adaptive, sense, pose):
     """
     clock, kinematics, sample = adaptive.clock, adaptive.kinematics, adaptive.sample
     estimate, lookahead = adaptive.estimate, adaptive.lookahead
-    moving = kinematics.speed_mps >= MIN_DIRECTION_SPEED_MPS  # otherwise no channel leads
+    moving = not is_at_rest(kinematics)  # otherwise no channel leads
     if not moving or clock.now_ns - lookahead.seen_ns > TIMEOUT_NS:
         lookahead.lead_m = 0.0
     if not moving or estimate.samples == 0:

@@ -49,7 +49,7 @@ def preview_uses(params, adaptive, inputs, now_ns):
         return 0
     orients = params.orient != 0 and params.n_channels >= 3
     leads = terrain_buffer.sensor_leads(adaptive) or adaptive.lookahead.lead_m > 0.0
-    if orients or leads or adaptive.kinematics.speed_mps < kinematics.MIN_DIRECTION_SPEED_MPS:
+    if orients or leads or kinematics.is_at_rest(adaptive.kinematics):
         return 0
     call_s = preview.plan_call_s(adaptive)
     is_due = controller_clock.period_is_due(adaptive.controller, call_s, inputs.n_ranges, now_ns)
