@@ -128,6 +128,24 @@ def test_the_slope_stays_when_a_step_is_confirmed():
     assert taken[610:].all()
 
 
+def test_the_slope_along_the_way_is_kept_over_a_rest():
+    """GIVEN a slope WHEN the tool rests for 2 s and starts again THEN the models have it at once."""
+    model = next(
+        i for i in range(N_MODELS) if BANK[i, 0] == SLOPE and BANK[i, 1] > 1.0 and BANK[i, 2] == 0.05
+    )
+    a = zeros(AdaptiveState)[0]
+    a["kinematics"]["speed_mps"] = 0.25
+    a, _ = feed(0.1e-3 * np.arange(700), sigma=1e-3, a=a)
+    before = float(a["estimate"]["slope"])
+    assert abs(before) > 0.05
+    a["kinematics"]["speed_mps"] = 0.0
+    a, _ = feed(np.full(500, 0.07), way=0.0, sigma=1e-3, a=a, start=701)
+    assert a["bank"]["slope"][model] == pytest.approx(0.0, abs=0.02)  # the ground does not move
+    a["kinematics"]["speed_mps"] = 0.25
+    a, _ = feed([0.07], sigma=0.0, a=a, start=1201)
+    assert a["bank"]["slope"][model] == pytest.approx(before, abs=0.02)
+
+
 def test_a_slope_does_not_enter_the_noise():
     x = 1e-3 * np.arange(2000)
     for sigma in (0.1e-3, 0.4e-3):

@@ -103,3 +103,34 @@ def test_a_coarse_sensor_is_used_although_it_repeats_its_ranges(slope):
     print(f"RMS {1e3 * ours.rms_m(job):.2f} mm")
     assert ours.rms_m(job) < 0.6e-3
     assert all("VALID" in s["status"] for s in ours.states)
+
+
+@pytest.mark.parametrize("count_m", [0.1e-3, 0.5e-3, 1e-3])
+def test_a_coarse_sensor_without_noise_is_not_called_stuck_on_a_slope(count_m):
+    """GIVEN counts above the noise WHEN the tool climbs THEN repeats are no sign of a loss: half the time, without."""
+    job = type(CELL)(**{**vars(CELL), "sigma_m": 0.0})
+
+    def ground(x, t):
+        return 0.1 * x + 2e-3 * math.sin(40.0 * x)
+
+    ours = follow(job, ground, 5.0, 0.1, misread=lambda t, r, rng: count_m * round(r / count_m))
+    assert not any("repeats" in s["reason"] or s["health"] == "STUCK" for s in ours.states)
+
+
+def test_a_range_that_is_held_is_named_first_and_then_called_stuck():
+    """GIVEN a tool that climbs WHEN its sensor says the last range for ever THEN the health says so at once."""
+    held = []
+
+    def misread(t, r, rng):
+        held.append(r if t < 2.0 else held[-1])
+        return held[-1]
+
+    ours = follow(CELL, lambda x, t: 0.2 * x, 2.6, 0.2, misread=misread)
+    reasons = [s["reason"] for s in ours.states]
+    named = next(k for k, r in enumerate(reasons) if "range repeats the ones before" in r)
+    stuck = next(k for k, s in enumerate(ours.states) if s["health"] == "STUCK")
+    begun = round(1.74 / CELL.pose_s)  # of 2 s the first 0.26 s are left out
+    print(
+        f"named after {(named - begun) * CELL.pose_s:.3f} s, stuck after {(stuck - begun) * CELL.pose_s:.3f} s"
+    )
+    assert begun <= named < stuck < begun + round(0.3 / CELL.pose_s)
