@@ -48,6 +48,7 @@ class ShellLoop:
     sensors : how many; or their mounts
     faults : over the sensors, their time begins at the start
     seed : of the sensors' noise
+    period_ms : of the robot's controller
     params : of the follower
     """
 
@@ -57,8 +58,10 @@ class ShellLoop:
         sensors: Any = 4,
         faults: tuple[FaultConfig, ...] = (),
         seed: int = 3,
+        period_ms: int = 10,
         **params: float,
     ) -> None:
+        self.period_ms = period_ms
         mounts = around_tool(sensors) if isinstance(sensors, int) else sensors
         self.core = RobotCore(robot, robot.world.make(), START)
         rig_config = SimulatedConfig(channels=len(mounts), mounts=mounts, world=robot.world, seed=seed)
@@ -105,12 +108,12 @@ class ShellLoop:
         pass
 
     def run(self, seconds: float) -> None:
-        """Step the cycle at 1 kHz, the controller at 100 Hz."""
+        """Step the cycle at 1 kHz, the controller once per period."""
         for _ in range(round(seconds * 1000)):
             if self.core.done:
                 return
             t = self.core.t_ns
-            if (t - START) % (10 * MS) == 0:
+            if (t - START) % (self.period_ms * MS) == 0:
                 self.controller.tick()
             self.core.advance(t + MS)
             self._cycle(t + MS)

@@ -58,7 +58,7 @@ STAGES = (
     "process_sample",
     "observe_lookahead",
     "update_health",
-    "observe_report",
+    "observe_latch",
     "target_of_blend",
     "plan_period",
     "target_of_preview",

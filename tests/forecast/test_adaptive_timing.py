@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from surffollow.forecast.estimation.innovation_gate import hold_pending
-from surffollow.forecast.plant.controller_clock import mean_wait_s, observe_report
+from surffollow.forecast.plant.controller_clock import mean_wait_s, observe_latch
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES
 from surffollow.forecast.setpoint.setpoint_limits import SLOT_GROUP_LENGTHS, limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_follow import Inputs
 
 from .feeding import MS, default_params
 
@@ -23,7 +24,7 @@ def test_a_demand_waits_for_half_the_interval_of_reports_and_for_no_more_than_th
     controller = zeros(AdaptiveState)[0]["controller"]
     assert mean_wait_s(default_params(), controller) == default_params()["max_wait_s"]  # no report yet
     for k in range(1, 6):
-        observe_report(controller, k, k * interval_ms * MS + 10**9)
+        observe_latch(controller, zeros(Inputs)[0], k, k * interval_ms * MS + 10**9)
     assert mean_wait_s(default_params(), controller) == pytest.approx(wait_s)
 
 

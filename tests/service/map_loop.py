@@ -33,6 +33,7 @@ class MapLoop(ShellLoop):
     Parameters
     ----------
     surface : of the simulated world
+    period_ms : of the robot's controller
     params : of the follower
 
     Attributes
@@ -40,11 +41,11 @@ class MapLoop(ShellLoop):
     previews : heights looked up, by cycle
     """
 
-    def __init__(self, surface: str, **params: float) -> None:
+    def __init__(self, surface: str, period_ms: int = 10, **params: float) -> None:
         world = WorldConfig(surface=surface, region=(0.0, 0.0, 0.7, 0.2))
         region = (0.0, 0.05, 0.6, 0.15)
         robot = RobotConfig(world=world, path="line", speed_mps=0.1, seconds=10.8, region=region)
-        super().__init__(robot, list(BEAM), **params)
+        super().__init__(robot, list(BEAM), period_ms=period_ms, **params)
         self.header, self.pairs = zeros(ml.MapHeader), zeros(ml.GridPair, 50_000)
         init_header(self.header, capacity_grids=100_000)
         reset_begin(self.header, 0.0, 0.0, 0.7, 0.2)

@@ -75,8 +75,9 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     standoff_m : float64  desired height of the tool above the ground [m]
     """
     motion, controller, now_ns = adaptive.kinematics, adaptive.controller, adaptive.clock.now_ns
-    controller_clock.open_period(controller, inputs.n_ranges, now_ns)
-    latch_ns = controller_clock.latch_time(controller, inputs.n_ranges, now_ns)
+    call_s = preview.plan_call_s(adaptive)
+    controller_clock.open_period(controller, call_s, inputs.n_ranges, now_ns)
+    latch_ns = controller_clock.latch_time(controller, call_s, inputs.n_ranges, now_ns)
     since_pose_m = motion.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = controller_clock.mean_wait_s(params, controller)
     ahead_m += motion.speed_mps * ((latch_ns - now_ns) * 1e-9 - wait_s)
@@ -139,7 +140,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     if kinematics.update_kinematics(params, adaptive.kinematics, sense):
         setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
     applied = params.run == layout.RUN_NORMAL
-    plant_identification.update_plant(params, adaptive, sense, params.adapt != 0 and applied)
+    plant_identification.update_plant(params, adaptive, sense, inputs.n_ranges, params.adapt != 0 and applied)
     measurement.process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if not orients and params.n_channels > 1:
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
@@ -163,7 +164,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         attitude.release_attitude(adaptive.attitude)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense, orients)
     ahead = distance_ahead(params, adaptive, sense)
-    controller_clock.observe_report(controller, sense.pose_count, adaptive.clock.now_ns)
+    answered = controller_clock.observe_latch(controller, inputs, sense.pose_count, adaptive.clock.now_ns)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
@@ -188,7 +189,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     output.demand[2] = limited
     if fold.close == 0 and not stuck and orients and adaptive.plane.count > 0:
         attitude.demand_rotation(params, adaptive, sense, output)
-    plant_identification.record_own_setpoint(adaptive, tool_z + (limited if applied else 0.0))
+    plant_identification.record_own_setpoint(adaptive, answered, tool_z + (limited if applied else 0.0))
     if params.run == layout.RUN_DRYRUN:
         setpoint_limits.mark_dryrun(setpoint, 1)
     elif params.run == layout.RUN_FREEZE:

@@ -175,6 +175,8 @@ def scale_inputs(params, state, inputs, output):
     d.fold.close, d.fold.close_z_m = fold.close, fold.close_z_m * per_m
     d.fold.close_range_m = fold.close_range_m * per_m
     d.inputs.t_ns, d.inputs.n_ranges = dimensionless_time(d, i.t_ns), i.n_ranges
+    for c in range(i.n_ranges):
+        d.inputs.given_m[c] = i.given_m[c] * per_m
     d.inputs.n_preview = min(max(i.n_preview, 0), layout.MAX_PREVIEW)
     d.inputs.preview_from_m, d.inputs.preview_step_m = i.preview_from_m * per_m, i.preview_step_m * per_m
     for k in range(d.inputs.n_preview):

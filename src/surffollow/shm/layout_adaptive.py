@@ -36,6 +36,7 @@ from surffollow.shm.layout_adaptive_sensing import (
 from surffollow.shm.schema import F64, I64, Nested, Schema
 
 HORIZON = 40  # controller periods of the preview and its plan
+N_LATCHES = 128  # setpoints latched that are kept: 256 ms or more
 N_PLANTS = 7  # axis models of different time constants
 
 # health of the ranging, in the order of what is reported first
@@ -51,9 +52,10 @@ class Controller(Schema):
     """Periods of the robot's controller (`controller_clock`)."""
 
     period_ns = I64(unit="ns", doc="begin of the newest controller period")
-    report_ns = I64(unit="ns", doc="arrival of the newest pose report")
-    report_count = I64(doc="pose count then")
-    interval_ns = F64(unit="ns", doc="usual interval of reports")
+    report_count = I64(doc="pose reports so far")
+    asked_ns = I64(unit="ns", doc="newest step of a caller in process without a reading")
+    latched_ns = I64(unit="ns", doc="newest latch")
+    interval_ns = F64(unit="ns", doc="usual interval of latches")
     usual_ns = F64(unit="ns", doc="usual length of a controller period; 0: not known")
     latch_pending = I64(doc="1: the demand of the newest period is not latched yet and may change")
     periods = I64(doc="controller periods so far")
@@ -63,9 +65,10 @@ class Controller(Schema):
 class Plant(Schema):
     """Identified axis (`plant_identification`)."""
 
-    setpoint_m = F64(N_PERIODS, unit="m", doc="ring of the follower's own setpoints")
-    newest_m = F64(unit="m", doc="newest one, between two periods, too")
-    newest_ns = I64(unit="ns", doc="its time")
+    latched_m = F64(N_LATCHES, unit="m", doc="ring of the follower's own setpoints that were latched")
+    latch_ns = I64(N_LATCHES, unit="ns", doc="time from which each is in force")
+    latches = I64(doc="setpoints latched so far")
+    newest_m = F64(unit="m", doc="setpoint of the cycle before")
     position_m = F64(N_PLANTS, unit="m", doc="axis models of different τ that follow them")
     velocity_mps = F64(N_PLANTS, unit="m/s", doc="their velocity")
     error_m2 = F64(N_PLANTS, unit="m^2", doc="their squared errors against the pose reports")

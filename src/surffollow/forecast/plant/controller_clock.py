@@ -1,27 +1,32 @@
 """The controller's clock: when a demand is latched.
 
-A plan is made for the moment at which its demand is latched. In process that is the step. A service sees only
-pose reports; a controller latches a demand and reports its pose in one cycle. Where reports come 100 times a
-second, the next one tells when the demand is latched, and the demand published before it is the one latched.
+A plan is made for the moment at which its demand is latched. A controller latches a demand and reports its
+pose in one cycle. In a service the demand published before the report is the one latched. A caller in process
+takes the answer to his steps without reading; one who has no such steps takes that to the step behind his
+report.
 """
+
+import math
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
-LATCH_DELAY_NS = 500_000  # latch time before the cycle that sees the report, on average
-PERIOD_TOLERANCE_NS = 1_000_000  # of the mean interval of reports from `PERIOD_S`
+LATCH_DELAY_NS = 500_000  # latch time before the cycle of a service that sees the report, on average
+LONGEST_PERIODS = 3.0  # a controller period, in those of a plan: plans are too short for more
 
 
 @jit
-def is_synchronised(controller, ranges_given, now_ns):
-    """Whether pose reports arrive once per controller period.
+def is_synchronised(controller, call_s, ranges_given, now_ns):
+    """Whether plans are made ahead, for the next latch. Latches that come much more often need no such care.
 
-    With `ranges_given` > 0 the caller latches each answer himself; then reports are not used.
+    With `ranges_given` > 0 a caller in process latches each answer himself, unless he calls more often.
     """
-    steady = abs(controller.interval_ns - PERIOD_S * 1e9) < PERIOD_TOLERANCE_NS
-    return ranges_given <= 0 and steady and 0 <= now_ns - controller.report_ns < MAX_GAP_NS
+    interval_s, since_ns = controller.interval_ns * 1e-9, now_ns - controller.latched_ns
+    answers_each = ranges_given > 0 and not 0.0 < call_s < 0.5 * interval_s
+    usual = 0.6 * PERIOD_S < interval_s < LONGEST_PERIODS * PERIOD_S
+    return usual and not answers_each and 0 <= since_ns < MAX_GAP_NS
 
 
 @jit
@@ -36,23 +41,23 @@ def period_is_due(controller, call_s, ranges_given, now_ns):
     now_ns : int64
     """
     elapsed = now_ns - controller.period_ns
-    if not is_synchronised(controller, ranges_given, now_ns):
+    if not is_synchronised(controller, call_s, ranges_given, now_ns):
         period_ns = 9_999_000  # 100 Hz; a microsecond less, timestamps may be rounded
         return elapsed >= period_ns - min(0.1 * period_ns, 0.25 * call_s * 1e9)
-    # the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm; periods last 6 to 14 ms
-    left = latch_time(controller, ranges_given, now_ns) - now_ns
-    prepares = controller.latch_pending == 0 and left <= 8_900_000 and elapsed >= 6_000_000
-    return prepares or elapsed >= 14_000_000
+    # the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm; periods last 0.6 to 1.4 intervals
+    interval_ns, left = controller.interval_ns, latch_time(controller, call_s, ranges_given, now_ns) - now_ns
+    early = left <= 0.89 * min(interval_ns, PERIOD_S * 1e9)
+    prepares = controller.latch_pending == 0 and early and elapsed >= 0.6 * interval_ns
+    return prepares or elapsed >= 1.4 * interval_ns
 
 
 @jit
-def latch_time(controller, ranges_given, now_ns):
+def latch_time(controller, call_s, ranges_given, now_ns):
     """Time at which the controller latches its next demand [ns]."""
-    if not is_synchronised(controller, ranges_given, now_ns):
+    if not is_synchronised(controller, call_s, ranges_given, now_ns):
         return now_ns
     period = int(controller.interval_ns)
-    elapsed = now_ns - controller.report_ns + LATCH_DELAY_NS
-    return now_ns + period - elapsed % period
+    return now_ns + period - (now_ns - controller.latched_ns) % period
 
 
 @jit
@@ -67,11 +72,11 @@ def mean_wait_s(params, controller):
 
 
 @jit
-def open_period(controller, ranges_given, now_ns):
+def open_period(controller, call_s, ranges_given, now_ns):
     """Set the latch time of the period that has just begun; until then its demand may change."""
     slot = (controller.periods - 1) & (N_PERIODS - 1)
-    controller.latch_ns[slot] = latch_time(controller, ranges_given, now_ns)
-    controller.latch_pending = 1 if is_synchronised(controller, ranges_given, now_ns) else 0
+    controller.latch_ns[slot] = latch_time(controller, call_s, ranges_given, now_ns)
+    controller.latch_pending = 1 if is_synchronised(controller, call_s, ranges_given, now_ns) else 0
 
 
 @jit
@@ -83,18 +88,38 @@ def usual_interval(usual_ns, dt_ns):
 
 
 @jit
-def observe_report(controller, poses, now_ns):
-    """Update the period with the arrival of a pose report, which ends a pending latch.
+def has_range(inputs):
+    """Whether a caller in process gives any range to this step."""
+    ranges = 0
+    for k in range(inputs.n_ranges):
+        ranges += 1 if math.isfinite(inputs.given_m[k]) else 0
+    return ranges > 0
 
-    `poses` counts the reports.
+
+@jit
+def observe_latch(controller, inputs, poses, now_ns):
+    """Update the period with a latch, which ends a pending one; whether the answer of this cycle is latched.
+
+    Parameters
+    ----------
+    controller, inputs : records of `Controller` (updated), `Inputs`
+    poses : int            pose reports so far
+    now_ns : int64
     """
-    if poses == controller.report_count:
-        return
-    controller.interval_ns = usual_interval(controller.interval_ns, now_ns - controller.report_ns)
-    controller.report_ns, controller.report_count = now_ns, poses
+    reported, in_process = poses != controller.report_count, inputs.n_ranges > 0
+    controller.report_count = poses
+    if in_process and not has_range(inputs):
+        controller.asked_ns = now_ns
+    asked = now_ns == controller.asked_ns or (reported and now_ns - controller.asked_ns >= MAX_GAP_NS)
+    if not (asked if in_process else reported):
+        return False
+    t_ns = now_ns if in_process else now_ns - LATCH_DELAY_NS
+    controller.interval_ns = usual_interval(controller.interval_ns, t_ns - controller.latched_ns)
+    controller.latched_ns = t_ns
     if controller.latch_pending != 0:
-        controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = now_ns - LATCH_DELAY_NS
+        controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = t_ns
         controller.latch_pending = 0
+    return in_process
 
 
 @jit
@@ -115,33 +140,9 @@ def period_at(controller, t_ns):
 
 
 @jit
-def share_of_next(controller, k, t_ns, newest_ns):
-    """Share by which the setpoint at a time lies between that of period `k` and the next one, 0 to 1.
-
-    A controller whose reports come more often than the periods of a plan takes setpoints between them. It
-    holds each until its next report: half of that interval later on average.
-
-    Parameters
-    ----------
-    controller : record of `Controller`
-    k : int             period in force at that time
-    t_ns : int64
-    newest_ns : int64   time of the newest setpoint, which is next to the newest period
-    """
-    if not 0.0 < controller.interval_ns < PERIOD_S * 1e9 - PERIOD_TOLERANCE_NS:
-        return 0.0
-    begin_ns, end_ns = controller.latch_ns[k & (N_PERIODS - 1)], newest_ns
-    if k < controller.periods - 1:
-        end_ns = controller.latch_ns[(k + 1) & (N_PERIODS - 1)]
-    if end_ns <= begin_ns:
-        return 0.0
-    return min(max((t_ns - 0.5 * controller.interval_ns - begin_ns) / (end_ns - begin_ns), 0.0), 1.0)
-
-
-@jit
 def usual_periods(controller):
-    """Usual length of a controller period, in those of a plan, 1 to 3: plans are too short for more.
+    """Usual length of a controller period, in those of a plan, 1 to LONGEST_PERIODS.
 
     A demand is kept for so long: a controller of 125 Hz takes every second one, and others are not punctual.
     """
-    return min(max(controller.usual_ns / (PERIOD_S * 1e9), 1.0), 3.0)
+    return min(max(controller.usual_ns / (PERIOD_S * 1e9), 0.6), LONGEST_PERIODS)

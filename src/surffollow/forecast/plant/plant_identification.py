@@ -14,8 +14,7 @@ from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive import N_PLANTS
-from surffollow.shm.layout_adaptive_estimation import N_PERIODS
+from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
 from surffollow.shm.layout_follow import POSES
 
 TAU_RATIO = 1.5  # between neighbouring τ
@@ -43,14 +42,23 @@ def reset_axes(params, adaptive, t_ns, z_m):
 
 
 @jit
-def own_setpoint(adaptive, t_ns):
-    """The follower's own setpoint that is in force at a time [m]."""
-    plant, controller = adaptive.plant, adaptive.controller
-    k, next_m = controller_clock.period_at(controller, t_ns), plant.newest_m
-    if k < controller.periods - 1:
-        next_m = plant.setpoint_m[(k + 1) & (N_PERIODS - 1)]
-    held_m = plant.setpoint_m[k & (N_PERIODS - 1)]
-    return held_m + controller_clock.share_of_next(controller, k, t_ns, plant.newest_ns) * (next_m - held_m)
+def record_latch(plant, t_ns, setpoint_m):
+    """Record the setpoint that is in force from a time on; one per time step of the axis models."""
+    newest = plant.latches - 1
+    if newest < 0 or not 0 <= t_ns - plant.latch_ns[newest & (N_LATCHES - 1)] < axis_model.AXIS_STEP_NS:
+        newest += 1
+        plant.latches = newest + 1
+        plant.latch_ns[newest & (N_LATCHES - 1)] = t_ns
+    plant.latched_m[newest & (N_LATCHES - 1)] = setpoint_m
+
+
+@jit
+def setpoint_in_force(plant, t_ns):
+    """The follower's own setpoint that was in force at a time, at least the oldest one kept [m]."""
+    k, oldest = plant.latches - 1, max(0, plant.latches - N_LATCHES)
+    while k > oldest and plant.latch_ns[k & (N_LATCHES - 1)] > t_ns:
+        k -= 1
+    return plant.latched_m[k & (N_LATCHES - 1)]
 
 
 @jit
@@ -60,7 +68,7 @@ def predict_axis(params, adaptive, to_ns):
     z, v, tau = plant.axis_m, plant.axis_mps, plant.tau_s
     steps, span_ns = axis_model.time_steps(plant.t_ns, to_ns)
     for n in range(steps):
-        target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
+        target = setpoint_in_force(plant, plant.t_ns + (span_ns * n) // steps)
         z, v = axis_model.step_axis(tau, v_max, a_max, z, v, target, span_ns * 1e-9 / steps)
     return z, v
 
@@ -72,7 +80,7 @@ def propagate_axes(params, adaptive, to_ns):
     z, v = plant.position_m, plant.velocity_mps
     steps, span_ns = axis_model.time_steps(plant.t_ns, to_ns)
     for n in range(steps):
-        target = own_setpoint(adaptive, plant.t_ns + (span_ns * n) // steps)
+        target = setpoint_in_force(plant, plant.t_ns + (span_ns * n) // steps)
         for k in range(N_PLANTS):
             tau = plant.tau_configured_s * TAU_SHARES[k]
             z[k], v[k] = axis_model.step_axis(tau, v_max, a_max, z[k], v[k], target, span_ns * 1e-9 / steps)
@@ -106,13 +114,14 @@ def best_time_constant(plant):
 
 
 @jit
-def update_plant(params, adaptive, sense, adapt):
+def update_plant(params, adaptive, sense, ranges_given, adapt):
     """Compare the axis models with a new pose report and move τ toward the best one.
 
     Parameters
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
-    adapt : bool  False: τ stays as it is
+    ranges_given : int  > 0: the caller latches each answer himself
+    adapt : bool        False: τ stays as it is
     """
     plant, setpoint = adaptive.plant, adaptive.setpoint
     newest = (sense.pose_count - 1) & (POSES - 1)
@@ -128,6 +137,8 @@ def update_plant(params, adaptive, sense, adapt):
     if not applied or not continues or plant.tau_configured_s != params.plant_tau_s:
         reset_axes(params, adaptive, t, z)
         return
+    if ranges_given <= 0:
+        record_latch(plant, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS, plant.newest_m)
     propagate_axes(params, adaptive, t)
     least = math.inf
     for k in range(N_PLANTS):
@@ -153,9 +164,15 @@ def update_plant(params, adaptive, sense, adapt):
 
 
 @jit
-def record_own_setpoint(adaptive, setpoint_m):
-    """Record the follower's own setpoint; it is that of the period that begins, or is still to be latched."""
+def record_own_setpoint(adaptive, answered, setpoint_m):
+    """Record the follower's own setpoint; `answered`: a caller in process latches it (`observe_latch`).
+
+    In a service the controller latched the setpoint of the cycle before its report (`update_plant`). One
+    whose reports are rare latches between them, too.
+    """
     plant, controller, now_ns = adaptive.plant, adaptive.controller, adaptive.clock.now_ns
-    plant.newest_m, plant.newest_ns = setpoint_m, now_ns
-    if controller.period_ns == now_ns or controller.latch_pending != 0:
-        plant.setpoint_m[(controller.periods - 1) & (N_PERIODS - 1)] = setpoint_m
+    plant.newest_m = setpoint_m
+    since_ns = now_ns - plant.latch_ns[(plant.latches - 1) & (N_LATCHES - 1)]
+    rare = plant.latches == 0 or since_ns > 2.0 * axis_model.PERIOD_S * 1e9
+    if answered or (rare and controller.period_ns == now_ns):
+        record_latch(plant, now_ns, setpoint_m)
