@@ -7,7 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from forecast.job_loop import BOOM, CELL, follow
+from forecast.job_loop import BOOM, CELL, Job, follow
+from surffollow import Follower
+
+TORCH = Job(0.004, 0.03, 0.002, 0.005, 0.2, 4.0, 0.05e-3, (0.0005, 0.012))
 
 
 @pytest.mark.parametrize("speed_taus", [0.0, 0.005, 0.02])
@@ -133,3 +136,33 @@ def test_a_range_that_is_held_is_named_first_and_then_called_stuck():
     print(f"named after {(named - begun) * CELL.pose_s:.3f} s")
     print(f"stuck after {(stuck - begun) * CELL.pose_s:.3f} s")
     assert begun <= named < stuck < begun + round(0.3 / CELL.pose_s)
+
+
+def test_a_tool_that_holds_because_its_frame_jumps_again_and_again_is_not_valid_for_long():
+    """GIVEN ranges 0.3 s old, and a position renewed every 0.2 s THEN VALID ends."""
+    f = Follower(
+        {"plant": {"tau_s": 0.04}, "sensors": [{"near_m": 0.03, "far_m": 0.3}], "sensor_latency": "0.3 s"},
+        offset_m=0.1,
+    )
+    for ms in range(0, 5000, 4):
+        t_ns, x = 10**9 + ms * 1_000_000, 0.1 * (ms // 200) if ms > 1000 else 0.0
+        f.pose(t_ns, (x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        f.step(t_ns, [0.1])
+    assert "VALID" not in f.state()["status"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ground_that_moves_under_a_tool_at_rest_is_taken_for_no_latency(seed):
+    """GIVEN a pipe that turns under a fixed torch WHEN the tool follows it THEN its ranges are not called old."""
+    rng = np.random.default_rng(seed)
+    lengths_m, phases = np.geomspace(0.012, 0.18, 40), rng.uniform(0.0, 6.28, 40)
+    heights_m = 1.8e-3 * lengths_m  # slope 0.05 RMS
+
+    def pipe(x, t):
+        return float(np.sum(heights_m * np.sin(2.0 * math.pi * 0.05 * t / lengths_m + phases)))
+
+    ours = follow(TORCH, pipe, 40.0)
+    late_s = [s["latency_s"] for s in ours.states]
+    print(f"RMS {ours.rms_m(TORCH) / TORCH.standoff_m:.3f} stand-offs")
+    assert max(late_s) < 0.1 * TORCH.tau_s
+    assert ours.rms_m(TORCH) < 0.02 * TORCH.standoff_m

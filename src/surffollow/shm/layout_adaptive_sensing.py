@@ -49,6 +49,8 @@ class Latency(Schema):
     climb_climb = F64(unit="m^2/s^2", doc="sum of squared deviations of the climb rate")
     climb_height = F64(unit="m^2/s", doc="sum of products of both deviations")
     height_height = F64(unit="m^2", doc="sum of squared deviations of the height")
+    step_step = F64(unit="m^2", doc="sum of squared steps from one height to the next")
+    newest_m = F64(unit="m", doc="newest of these heights")
 
 
 class Sample(Schema):

@@ -216,7 +216,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         shadow_axes.reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)
     estimate.samples += 1
     estimate.accepted_ns = t_ns
-    if estimate.samples >= CONFIRMATION_SAMPLES:
+    # while samples are from before the newest jump of the frame, the tool holds its height
+    if estimate.samples >= CONFIRMATION_SAMPLES and t_ns >= kinematics.jump_ns:
         estimate.confirmed_ns = t_ns
     store_ground(adaptive, estimate.arc_length_m, h_m)
     return True

@@ -23,7 +23,7 @@ def reset_window(latency):
     """Begin a new rest."""
     latency.count = 0
     latency.mean_climb_mps = latency.mean_height_m = 0.0
-    latency.climb_climb = latency.climb_height = latency.height_height = 0.0
+    latency.climb_climb = latency.climb_height = latency.height_height = latency.step_step = 0.0
 
 
 @jit
@@ -63,12 +63,14 @@ def update_correction(adaptive, adapt):
     latency = adaptive.latency
     n = latency.count
     # deviations of the climb rate below 15 mm/s RMS identify nothing
-    if adapt and n >= USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
+    if adapt and n >= 3 * USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
         delta_s = latency.climb_height / latency.climb_climb
         residual = math.sqrt(max(latency.height_height - delta_s * latency.climb_height, 0.0) / n)
         noise = max(adaptive.noise.sigma_m, MIN_NOISE_M)
-        # a greater residual: the ground was not one spot
-        if abs(delta_s) < MAX_CORRECTION_S and residual < 3.0 * noise + 0.5e-3:
+        # noise is left, or little of the change of height; otherwise the ground moved, or was not one spot
+        left_m2 = n * residual * residual
+        explained = left_m2 < latency.step_step or left_m2 < 0.1 * latency.height_height
+        if abs(delta_s) < MAX_CORRECTION_S and residual < 3.0 * noise + 0.5e-3 and explained:
             var = max(residual, noise) ** 2 / latency.climb_climb
             prior = 0.03**2  # variance of the latency before a rest [s²]
             corrected_s = latency.correction_s + prior / (prior + var) * delta_s
@@ -105,5 +107,8 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
         latency.climb_climb += dc * (climb - latency.mean_climb_mps)
         latency.climb_height += dc * (h_m - latency.mean_height_m)
         latency.height_height += dh * (h_m - latency.mean_height_m)
+        if latency.count > 1:
+            latency.step_step += (h_m - latency.newest_m) ** 2  # of white noise: twice its sum of squares
+        latency.newest_m = h_m
     if not at_rest or latency.count >= FULL_POWER_SAMPLES:
         update_correction(adaptive, adapt)
