@@ -207,3 +207,19 @@ def test_the_limits_are_those_that_the_axis_can_use():
     accel = np.diff(rate) * 1e3
     assert np.abs(accel[1:]).max() <= ACCELERATION_RATIO * params["plant_a_max_mps2"] * (1 + 1e-6)
     assert heights[-1] == pytest.approx(0.05, abs=1e-6)
+
+
+def test_a_plan_that_comes_and_goes_does_not_throw_the_setpoint_beyond_its_target():
+    """GIVEN a slow axis WHEN preview has a share in every other cycle THEN the setpoint can always stop in time.
+
+    With limits that fell from those of the setpoint to twenty times those of the axis it passed by 5.7 mm.
+    """
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    params["plant_v_max_mps"], params["plant_a_max_mps2"], params["toward_factor"] = 0.03, 0.015, 1.0
+    lowest_m = 0.0
+    for k in range(3000):
+        a["preview"]["share"] = 0.15 * (k % 2)
+        limit_setpoint(params, a, 10**9 + k * MS, -0.02, 0.0)
+        lowest_m = min(lowest_m, float(a["setpoint"]["position_m"]))
+    print(f"{-1e3 * lowest_m - 20.0:.3f} mm beyond the target")
+    assert lowest_m > -0.021
