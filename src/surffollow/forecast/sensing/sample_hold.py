@@ -67,17 +67,20 @@ def new_sample(params, adaptive, sense, ranges_given, channel, orients):
 def observe_timestamp(adaptive, t_ns):
     """Update the correction of timestamps that went back, with a fresh sample.
 
-    Late samples arrive in order. Several in a row whose timestamps lie before that of the newest sample have
-    wrong timestamps: they follow each other at the usual interval until their delay is the usual one again.
+    Several in a row whose timestamps lie before that of the newest sample have wrong timestamps: they follow
+    each other at the usual interval until their delay is the usual one again. Where delays differ, samples
+    overtake each other within twice the usual excess over the least delay.
     """
-    hold, usual_ns = adaptive.hold, int(adaptive.latency.delay_s * 1e9)
+    hold, latency, usual_ns = adaptive.hold, adaptive.latency, int(adaptive.latency.delay_s * 1e9)
     delay_ns = adaptive.clock.now_ns - t_ns
     if hold.shift_ns > 0 and delay_ns < usual_ns + hold.shift_ns // 2:
         hold.shift_ns = 0
     t = t_ns + hold.shift_ns
     hold.backward = hold.backward + 1 if hold.t_ns != 0 and t < hold.t_ns else 0
-    if hold.backward >= CONFIRMATION_SAMPLES:
-        shift_ns = hold.t_ns + int(hold.backward * adaptive.prediction.interval_s * 1e9) - t_ns
+    interval_s = adaptive.prediction.interval_s
+    overtaken_s = 2.0 * (latency.delay_s - latency.least_s)
+    if hold.backward >= CONFIRMATION_SAMPLES and hold.backward * interval_s > overtaken_s:
+        shift_ns = hold.t_ns + int(hold.backward * interval_s * 1e9) - t_ns
         hold.backward = 0
         if delay_ns >= usual_ns + shift_ns // 2:
             hold.shift_ns = shift_ns
