@@ -50,10 +50,12 @@ def follow(
     plain: bool = False,
     misread: Callable[[float, float, np.random.Generator], float] | None = None,
     seed: int = 1,
+    latest_s: float = 0.0,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
-    `misread(t, range, generator)` gives the reading in place of a range [m]. The first tenth is left out.
+    `misread(t, range, generator)` gives the reading in place of a range [m]. Each reading arrives up to
+    `latest_s` after its time, at random; readings may overtake each other. The first tenth is left out.
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
@@ -61,7 +63,7 @@ def follow(
     sensors = [{"near_m": near_m, "far_m": far_m}]
     f = Follower({"plant": plant, "sensors": sensors}, offset_m=job.standoff_m)
     z = z_plain = ground_m(0.0, 0.0) + job.standoff_m
-    v, target, dt, clearance, states = 0.0, z, 1e-3, [], []
+    v, target, dt, clearance, states, coming = 0.0, z, 1e-3, [], [], []
     pose_ms, reading_ms = round(1e3 * job.pose_s), round(1e3 * job.reading_s)
     for ms in range(round(1e3 * seconds)):
         t = ms * dt
@@ -74,9 +76,12 @@ def follow(
             r = z - ground + job.sigma_m * float(rng.standard_normal())
             r = misread(t, r, rng) if misread else r
             r = r if near_m < r < far_m else math.nan
-            f.step(t_ns, [r])
-            if plain and math.isfinite(r):
-                target = z_plain - P_GAIN * (r - job.standoff_m)
+            coming.append((ms + round(1e3 * latest_s * float(rng.random())) if latest_s else ms, t_ns, r))
+        for arrival in [a for a in coming if a[0] <= ms]:
+            coming.remove(arrival)
+            f.step(arrival[1], [arrival[2]])
+            if plain and math.isfinite(arrival[2]):
+                target = z_plain - P_GAIN * (arrival[2] - job.standoff_m)
         if ms % pose_ms == 0:
             demand = float(f.step(t_ns, [math.nan])[2])
             if not plain:

@@ -32,6 +32,8 @@ class Hold(Schema):
 
     t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none yet")
     range_m = F64(unit="m", doc="its range: a conversion that repeats it is no new sample")
+    changes = I64(doc="samples with another range than the one before")
+    least_m = F64(unit="m", doc="least change, which grows slowly: the count of a coarse sensor")
     backward = I64(doc="samples in a row with timestamps before that of the newest sample")
     shift_ns = I64(unit="ns", doc="correction of timestamps that went back")
 

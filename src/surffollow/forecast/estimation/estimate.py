@@ -208,7 +208,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     blend_models(adaptive)
     nearer_m = h_m - estimate.height_m
     # the models follow too slowly
-    if nearer_m > innovation_gate.INNER_GATE * innovation_gate.gate_width(params, gate):
+    if nearer_m > innovation_gate.INNER_GATE * innovation_gate.gate_width(params, adaptive):
         innovation_gate.withhold_sample(gate, nearer_m, rise, True)
     share = 1.0 - math.exp(-way / 1.0)  # a mean over a metre
     estimate.slope_power += share * (estimate.slope * estimate.slope - estimate.slope_power)

@@ -8,6 +8,7 @@ import math
 
 from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PLAUSIBLE_SLOPE, QUICK_RATE
+from surffollow.forecast.sensing.sample_hold import count_m
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
@@ -42,11 +43,11 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises
 
     Notes
     -----
-    With u = max(`gate_scales` · usual |ν|, `gate_m`) and plausible = 0.2 d, or `steepest_m` while no slope is
+    With u = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `steepest_m` while no slope is
     known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible change exceeds u.
     """
     gate, samples = adaptive.gate, adaptive.estimate.samples
-    usual, sparse_m = gate_width(params, gate), PLAUSIBLE_SLOPE * travel_m
+    usual, sparse_m = gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m
     plausible = sparse_m if samples >= CONFIRMATION_SAMPLES else steepest_m
     width = max(usual, plausible)
     # while no slope is known, samples of nearer ground count on their own
@@ -87,7 +88,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on
     height_m = estimate.height_m + innovation_m
     last_height = gate.kept_height_m[(gate.pending - 1) & (PENDING_HEIGHTS - 1)]
     further = height_m - last_height
-    tolerance = max(INNER_GATE * gate_m, params.gate_m)
+    tolerance = max(INNER_GATE * gate_m, params.gate_m, 1.5 * count_m(adaptive.hold))
     if further * innovation_m > 0.0:  # on a flank the outliers of a slow sensor go on in their direction
         tolerance += travel_m
         if innovation_m > 0.0:
@@ -175,9 +176,9 @@ def withheld_setpoint(adaptive, standoff_m):
 
 
 @jit
-def gate_width(params, gate):
-    """Width of the gate [m]."""
-    return max(params.gate_scales * gate.scale_m, params.gate_m)
+def gate_width(params, adaptive):
+    """Width of the gate [m]: neighbouring counts of a coarse sensor agree."""
+    return max(params.gate_scales * adaptive.gate.scale_m, params.gate_m, 2.0 * count_m(adaptive.hold))
 
 
 @jit

@@ -88,7 +88,7 @@ def _count_repeats(params, adaptive, range_m, tool_z_m):
     if response.repeats > 0 and change_m <= REPEAT_BAND * adaptive.noise.sigma_m:
         response.repeats += 1
         return
-    more, outlier = response.repeats - response.usual_repeats, change_m > gate_width(params, adaptive.gate)
+    more, outlier = response.repeats - response.usual_repeats, change_m > gate_width(params, adaptive)
     if response.phase == RESPONSE_RUN:
         response.usual_repeats += more / (RUN_SAMPLES if more < 0.0 else 8.0 if outlier else 1.0)
     response.repeats, response.repeat_m, response.repeat_z_m = 1, range_m, tool_z_m

@@ -88,11 +88,21 @@ def observe_timestamp(adaptive, t_ns):
 
 @jit
 def record_sample(hold, t_ns, range_m):
-    """Hold the newest sample."""
+    """Hold the newest sample; learn the count of the sensor, which is its least change of range."""
+    change_m = abs(range_m - hold.range_m)
+    if hold.t_ns != 0 and change_m > 0.0:
+        hold.changes += 1
+        hold.least_m = min(change_m, 1.02 * hold.least_m) if hold.changes > 1 else change_m
     hold.t_ns, hold.range_m = t_ns, range_m
+
+
+@jit
+def count_m(hold):
+    """Count of the sensor, as far as known [m]: far below the noise unless the sensor is coarse."""
+    return hold.least_m if hold.changes >= 8 else 0.0
 
 
 @jit
 def reset_hold(hold):
     """Accept a sample of any time as new."""
-    hold.t_ns = hold.backward = hold.shift_ns = 0
+    hold.t_ns = hold.backward = hold.shift_ns = hold.changes = 0

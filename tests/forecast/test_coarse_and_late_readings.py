@@ -1,0 +1,53 @@
+"""Sensors whose counts are coarse, and readings that overtake each other on their way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from forecast.job_loop import CELL, Job, follow
+
+DRONE = Job(3.0, 0.5, 0.05, 0.02, 2.5, 5.0, 0.02, (0.2, 12.0))
+TORCH = Job(0.004, 0.03, 0.002, 0.005, 0.2, 4.0, 0.05e-3, (0.0005, 0.012))
+
+
+def hills(job, speed_mps, slope, seed):
+    """Ground of forty waves of 8 to 120 vτ, with this RMS slope."""
+    rng, way_m = np.random.default_rng(seed), speed_mps * job.tau_s
+    lengths_m, phases = np.geomspace(8.0 * way_m, 120.0 * way_m, 40), rng.uniform(0.0, 6.28, 40)
+    heights_m = slope * math.sqrt(2.0 / 40.0) / 6.28 * lengths_m
+    return lambda x, t: float(np.sum(heights_m * np.sin(6.28 * x / lengths_m + phases)))
+
+
+@pytest.mark.parametrize("count_standoffs", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize(("job", "speed_mps", "seconds"), [(DRONE, 3.0, 100.0), (CELL, 0.1, 12.0)])
+def test_neighbouring_counts_of_a_coarse_sensor_agree(job, speed_mps, seconds, count_standoffs):
+    """GIVEN counts far above the noise WHEN the tool follows hills THEN no reading is an outlier for long.
+
+    A drone with counts of 0.05 stand-offs rejected all readings and climbed by 3 to 6 stand-offs, VALID.
+    """
+    count_m, ground = count_standoffs * job.standoff_m, hills(job, speed_mps, 0.1, 3)
+    ours, plain = (
+        follow(job, ground, seconds, speed_mps, plain, misread=lambda t, r, rng: count_m * round(r / count_m))
+        for plain in (False, True)
+    )
+    outliers = np.mean(["outside the innovation gate" in s["reason"] for s in ours.states])
+    print(f"RMS {ours.rms_m(job) / plain.rms_m(job):.2f} of the P loop, outliers {outliers:.3f} of the time")
+    assert ours.rms_m(job) < 1.1 * plain.rms_m(job)
+    assert outliers < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("job", "speed_mps", "slope"), [(CELL, 0.1, 0.1), (TORCH, 0.05, 0.05)])
+def test_readings_that_overtake_each_other_keep_their_timestamps(job, speed_mps, slope, seed):
+    """GIVEN right timestamps WHEN readings arrive up to τ late, and in any order THEN they are used as they are.
+
+    Those behind newer ones were taken for readings of a clock that went back, and got other timestamps.
+    """
+    ground = hills(job, speed_mps, slope, seed)
+    ours = follow(job, ground, 300.0 * job.tau_s, speed_mps, seed=seed, latest_s=job.tau_s)
+    print(f"RMS {ours.rms_m(job) / job.standoff_m:.4f} stand-offs")
+    assert ours.rms_m(job) < 0.02 * job.standoff_m
+    assert ours.clearance_m.min() > 0.9 * job.standoff_m
