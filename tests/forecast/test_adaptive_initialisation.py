@@ -210,7 +210,7 @@ def test_the_limits_are_those_that_the_axis_can_use():
 
 
 def test_a_plan_that_comes_and_goes_does_not_throw_the_setpoint_beyond_its_target():
-    """GIVEN a slow axis WHEN preview has a share in every other cycle THEN the setpoint can always stop in time.
+    """GIVEN a slow axis WHEN preview has a share in every other cycle THEN the setpoint stops in time.
 
     With limits that fell from those of the setpoint to twenty times those of the axis it passed by 5.7 mm.
     """

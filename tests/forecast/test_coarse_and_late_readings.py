@@ -42,7 +42,7 @@ def test_neighbouring_counts_of_a_coarse_sensor_agree(job, speed_mps, seconds, c
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("job", "speed_mps", "slope"), [(CELL, 0.1, 0.1), (TORCH, 0.05, 0.05)])
 def test_readings_that_overtake_each_other_keep_their_timestamps(job, speed_mps, slope, seed):
-    """GIVEN right timestamps WHEN readings arrive up to τ late, and in any order THEN they are used as they are.
+    """GIVEN right timestamps WHEN readings arrive up to τ late, in any order THEN they are used so.
 
     Those behind newer ones were taken for readings of a clock that went back, and got other timestamps.
     """

@@ -153,7 +153,7 @@ def test_a_tool_that_holds_because_its_frame_jumps_again_and_again_is_not_valid_
 
 @pytest.mark.parametrize("seed", range(4))
 def test_ground_that_moves_under_a_tool_at_rest_is_taken_for_no_latency(seed):
-    """GIVEN a pipe that turns under a fixed torch WHEN the tool follows it THEN its ranges are not called old."""
+    """GIVEN a pipe that turns under a fixed torch THEN its ranges are not called old."""
     rng = np.random.default_rng(seed)
     lengths_m, phases = np.geomspace(0.012, 0.18, 40), rng.uniform(0.0, 6.28, 40)
     heights_m = 1.8e-3 * lengths_m  # slope 0.05 RMS
