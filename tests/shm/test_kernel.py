@@ -94,6 +94,19 @@ def test_a_kernel_returns_what_numba_knows() -> None:
     assert (list(first), list(second), n) == ([0.0, 1.0], [3.0, 4.0], 4)
 
 
+def test_calls_with_different_constants_share_a_part() -> None:
+    @jit
+    def half(n, whole):
+        return n // 2 if whole else 0.5 * n
+
+    @jit
+    def sum_of_halves(n):
+        return half(4, True) + half(5, False) + half(n, n > 1)
+
+    assert sum_of_halves(3) == 2.0 + 2.5 + 1.0
+    assert len(half.overloads) == 1
+
+
 def test_kernels_of_one_name_in_functions_stay_apart() -> None:
     def make(step: int) -> Kernel:
         @jit

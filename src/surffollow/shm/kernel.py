@@ -12,7 +12,7 @@ import sys
 from functools import cached_property
 from typing import Any
 
-from numba.core import compiler, event, funcdesc, sigutils, typing
+from numba.core import compiler, event, funcdesc, sigutils, types, typing
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import UnsupportedError
 from numba.core.registry import CPUDispatcher
@@ -96,7 +96,8 @@ class Kernel(CPUDispatcher):
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Numba's question how a call of this function is typed."""
         pysig, args = self._compiler.fold_argument_types(args, kws)
-        part = self.part(tuple(args))
+        # one part for all constants that are given to it: numba would make one for each
+        part = self.part(tuple(map(types.unliteral, args)))
         name = self.py_func.__name__
         template = typing.make_concrete_template(f"CallTemplate({name})", name, [part.signature])
         return template, pysig, args, {}
