@@ -20,6 +20,7 @@ from numba.core.typing.typeof import typeof
 
 from surffollow.shm.kernel_cache import KernelCache, cache_of, note_source
 from surffollow.shm.kernel_library import PartLibrary, WholeLibrary
+from surffollow.shm.kernel_pipeline import KernelPipeline
 from surffollow.shm.kernel_tag import HERE, tag_of
 from surffollow.shm.source_stamp import path_in_package
 from surffollow.shm.typing_memory import remembered
@@ -58,7 +59,7 @@ class Kernel(CPUDispatcher):
         py_func: Any,
         locals: Any = None,
         targetoptions: Any = None,
-        pipeline_class: Any = compiler.Compiler,
+        pipeline_class: Any = KernelPipeline,
     ) -> None:
         super().__init__(py_func, locals or {}, targetoptions or {}, pipeline_class)
         note_source(py_func.__code__.co_filename)
