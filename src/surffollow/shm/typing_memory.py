@@ -1,7 +1,7 @@
 """Remember how numba types its own functions and operators while kernels compile.
 
-For each `a + b` numba tries some ten rules, most of which fail with an exception. A kernel repeats few
-combinations of operator and types.
+For each `a + b` numba tries some ten rules, most of which fail with an exception: once when it finds types,
+and once more when it makes LLVM's code. A kernel repeats few combinations of operator and types.
 """
 
 from __future__ import annotations
@@ -16,24 +16,35 @@ from numba.core.targetconfig import ConfigStack
 from numba.core.typing import Context
 
 _known: dict[Any, tuple[Any, Any]] = {}  # function, arguments, options → signature, key of the implementation
+_resolve_ordinarily: Any = Context.resolve_function_type
+_call_ordinarily: Any = types.Function.get_call_type
+
+
+def _recall(find: Any, function: Any, args: Any) -> Any:
+    """The signature of a function for arguments as it is known, or as `find` finds it; or None."""
+    options = ConfigStack.top_or_none()
+    key = function, args, repr(options and options._values)
+    if key in _known:
+        signature, implementation = _known[key]
+        function._impl_keys[signature.args] = implementation
+        return signature
+    signature = find()
+    if signature is not None and signature.args in function._impl_keys:
+        _known[key] = signature, function._impl_keys[signature.args]
+    return signature
 
 
 def _resolve(context: Any, function: Any, args: Any, kws: Any) -> Any:
-    """As numba's `Context.resolve_function_type`: a signature, or None."""
-    ordinary: Any = Context.resolve_function_type
+    """As numba's `Context.resolve_function_type`."""
+    find = partial(_resolve_ordinarily, context, function, args, kws)
     found = function if isinstance(function, types.Type) else context._lookup_global(function)
-    if kws or not isinstance(found, types.Function):
-        return ordinary(context, function, args, kws)
-    options = ConfigStack.top_or_none()
-    key = found, args, repr(options and options._values)
-    if key in _known:
-        signature, implementation = _known[key]
-        found._impl_keys[signature.args] = implementation
-        return signature
-    signature = ordinary(context, function, args, kws)
-    if signature is not None and signature.args in found._impl_keys:
-        _known[key] = signature, found._impl_keys[signature.args]
-    return signature
+    return find() if kws or not isinstance(found, types.Function) else _recall(find, found, args)
+
+
+def _call_type(function: Any, context: Any, args: Any, kws: Any) -> Any:
+    """As numba's `Function.get_call_type`."""
+    find = partial(_call_ordinarily, function, context, args, kws)
+    return find() if kws else _recall(find, function, args)
 
 
 @contextlib.contextmanager
@@ -43,7 +54,9 @@ def remembered(context: Any) -> Iterator[None]:
         yield
         return
     context.resolve_function_type = partial(_resolve, context)
+    types.Function.get_call_type = _call_type
     try:
         yield
     finally:
+        types.Function.get_call_type = _call_ordinarily
         del context.resolve_function_type
