@@ -1,7 +1,8 @@
 """At a cold start, compile half of the kernels in a second process.
 
-The service compiles the follower's step and the cycle's machine code; the helper the rest of the cycle,
-the map thread and simulated sensors. All end up in the kernel cache, where the other process finds them.
+The service compiles the default follower and the cycle's machine code; the helper the rest of the step and
+of the cycle, the map thread and simulated sensors. All end up in the kernel cache, where the other process
+finds them.
 A service whose helper dies, or that cannot start one, compiles everything by itself. The helper dies with
 the service.
 """
@@ -22,7 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from surffollow.forecast.step import follow_step
+from surffollow.forecast.reference_scales import scale_inputs
+from surffollow.forecast.step import adaptive_cycle, demand_z, find_targets, follow_step
 from surffollow.hw.simulation import simulated
 from surffollow.service.cycle import give_outputs, take_inputs
 from surffollow.service.mapper import run_map
@@ -93,8 +95,13 @@ class SideCompile:
             )
 
     def compile_step(self, mem: CycleMemory) -> None:
-        """Compile the follower's step before the rest of the cycle, which the helper compiles meanwhile."""
+        """Compile the follower's step before the rest of the cycle, which the helper compiles meanwhile.
+
+        The default follower comes first, because the helper begins with the rest of the step.
+        """
         if self._process is not None:
+            p, s, i, o = mem.params[0], mem.state[0], mem.inputs[0], mem.output[0]
+            adaptive_cycle.part(types_of(p, mem.state, s["sense"], s["fold"], i, o, mem.pose, True))
             follow_step.part(types_of(mem.params, mem.state, mem.inputs, mem.output, mem.pose))
 
     def wait(self, report: Callable[[], None], stop_fd: int) -> bool:
@@ -117,9 +124,17 @@ class SideCompile:
 
 
 def compile_share() -> None:
-    """Compile the cycle without its step, then the map thread, into the cache, or find them there."""
+    """Compile the cycle without the default follower, then the map thread, into the cache, or find them there.
+
+    First what the service needs first: the rest of the step when it has compiled the default follower, then
+    the two halves of a cycle around the step.
+    """
     cycle = make_cycle_memory()
-    take_inputs.part(types_of(cycle, 0))  # first: the service needs these two when it has compiled the step
+    p, s, i, o = cycle.params[0], cycle.state[0], cycle.inputs[0], cycle.output[0]
+    demand_z.part(types_of(p, s, i, o, 0.0, cycle.pose))
+    find_targets.part(types_of(p, s, o, cycle.pose, 0))
+    scale_inputs.part(types_of(cycle.params, cycle.state, cycle.inputs, cycle.output))
+    take_inputs.part(types_of(cycle, 0))
     give_outputs.part(types_of(cycle, 0, 0))
     nothing = zeros(ml.MapHeader), zeros(ml.GridPair), np.zeros(1)
     run_map.compile(types_of(make_map_memory(cycle.ctx, *nothing, ml.DEFAULT_QUANTUM_M)))
