@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 
-from surffollow.forecast.reference_scales import scale_inputs
 from surffollow.forecast.step import adaptive_cycle, demand_z, find_targets, follow_step
 from surffollow.hw.simulation import simulated
 from surffollow.service.cycle import give_outputs, take_inputs
@@ -133,7 +132,6 @@ def compile_share() -> None:
     p, s, i, o = cycle.params[0], cycle.state[0], cycle.inputs[0], cycle.output[0]
     demand_z.part(types_of(p, s, i, o, 0.0, cycle.pose))
     find_targets.part(types_of(p, s, o, cycle.pose, 0))
-    scale_inputs.part(types_of(cycle.params, cycle.state, cycle.inputs, cycle.output))
     take_inputs.part(types_of(cycle, 0))
     give_outputs.part(types_of(cycle, 0, 0))
     nothing = zeros(ml.MapHeader), zeros(ml.GridPair), np.zeros(1)
