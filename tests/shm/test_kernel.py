@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba import njit
+from numba.core.errors import UnsupportedError
 
 from surffollow.forecast.pose import pose_at, push_pose
 from surffollow.hw.simulation.counter_noise import hashed_uniform
 from surffollow.shm.cache_directory import cache_directory
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_uncounted
 from surffollow.shm.kernel import Kernel, types_of
 from surffollow.shm.layout_follow import FollowState
 from surffollow.shm.ring import make_ring, ring_drop, ring_length
@@ -105,6 +106,23 @@ def test_calls_with_different_constants_share_a_part() -> None:
 
     assert sum_of_halves(3) == 2.0 + 2.5 + 1.0
     assert len(half.overloads) == 1
+
+
+def test_kernels_that_count_no_references_return_no_array() -> None:
+    @jit_uncounted
+    def same(values):
+        return values
+
+    @jit_uncounted
+    def total(values):
+        return values[0] + values[1]
+
+    values = np.array([1.0, 2.0])
+    counted = sys.getrefcount(values)
+    assert [total(values) for _ in range(9)] == [3.0] * 9
+    assert sys.getrefcount(values) == counted
+    with pytest.raises(UnsupportedError, match="returns an array"):
+        same(values)
 
 
 def test_kernels_of_one_name_in_functions_stay_apart() -> None:

@@ -8,7 +8,7 @@ from surffollow.forecast.pose import footprint, pose_at
 from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing import latency_identification, sample_hold
 from surffollow.shm import layout_follow as layout
-from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.jit import jit, jit_inlined, jit_uncounted
 from surffollow.shm.layout_adaptive import DROPOUT, REASON_POSE
 
 # `forceinline` on what runs per channel or conversion: numba hands an array over as seven words and a
@@ -140,7 +140,7 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
     return status
 
 
-@jit
+@jit_uncounted
 def adaptive_cycle(params, state, sense, fold, inputs, output, pose, ready):
     """Demand, if a pose is `ready`, and report of the adaptive mode in dimensionless numbers.
 
@@ -187,7 +187,7 @@ def scaled_adaptive_cycle(params, state, inputs, output, pose, ready):
     return status
 
 
-@jit
+@jit_uncounted
 def follow_step(params, state, inputs, output, scratch):
     """One cycle: readings, footprints, demand of the mode in force, run mode, stop.
 

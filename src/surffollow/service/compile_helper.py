@@ -123,7 +123,7 @@ class SideCompile:
 
 
 def compile_share() -> None:
-    """Compile the cycle without the default follower, then the map thread, into the cache, or find them there.
+    """Compile the cycle without the default follower, then the map thread, or find them in the cache.
 
     First what the service needs first: the rest of the step when it has compiled the default follower, then
     the two halves of a cycle around the step.

@@ -24,7 +24,7 @@ def _kernels(**options: Any) -> Callable[[Any], Any]:
     # a division by zero gives inf or NaN: no exceptions, and LLVM can vectorise loops
     given = {"nopython": True, "boundscheck": None, "nogil": True, "error_model": "numpy"}
     # what is not given numba would take from the kernel that happens to call this one first
-    given |= {"forceinline": False, "fastmath": False, **options}
+    given |= {"forceinline": False, "fastmath": False, "_nrt": True, **options}
 
     def decorate(py_func: Any) -> Any:
         return py_func if config.DISABLE_JIT else Kernel(py_func, targetoptions=given)
@@ -33,7 +33,10 @@ def _kernels(**options: Any) -> Callable[[Any], Any]:
 
 
 jit: Any = _kernels()
-jit_inlined: Any = _kernels(forceinline=True)  # by LLVM
+# these make and return no array: they count no references to arguments, which their callers hold.
+# A count is an atomic write, and a cycle had thirty of them
+jit_uncounted: Any = _kernels(_nrt=False)
+jit_inlined: Any = _kernels(_nrt=False, forceinline=True)  # by LLVM
 jit_arrays: Any = _kernels(fastmath={"contract"})  # for long loops over arrays
 jit_pasted: Any = _kernels(inline="always")  # by numba, before it finds types
 

@@ -46,6 +46,13 @@ def _is_keepable(library: PartLibrary, tag: str) -> bool:
     return not library.has_dynamic_globals and not any(t.startswith(HERE) for t in tags)
 
 
+def _holds_array(kind: Any) -> bool:
+    """Whether values of a type refer to memory that is counted."""
+    return isinstance(kind, types.Array) or (
+        isinstance(kind, types.BaseTuple) and any(map(_holds_array, kind.types))
+    )
+
+
 class Kernel(CPUDispatcher):
     """A function that numba compiles.
 
@@ -154,6 +161,8 @@ class Kernel(CPUDispatcher):
         )
         if result.typing_error is not None:
             raise result.typing_error
+        if not options.nrt and _holds_array(result.signature.return_type):
+            raise UnsupportedError(f"kernel {self.name} returns an array: it has to count references")
         library._ensure_finalized()
         initialise = [*library.initialisers | dict.fromkeys(result.reload_init)]
         result.fndesc.typemap = result.fndesc.calltypes = None  # large, and not needed again
