@@ -22,17 +22,15 @@ def watch_fold_back(params, fold, range_m, sensor_z_m):
     sensor_z_m : float64  height of the sensor then, world frame [m]
     """
     if fold.close == 0:
-        if range_m < params.too_close_m:
-            fold.close = 1
-            fold.close_z_m = sensor_z_m
-            fold.close_range_m = range_m
-        return
-    rise = sensor_z_m - fold.close_z_m
-    if abs(rise) < 0.002:  # too little to tell the branch by
-        return
-    change = range_m - fold.close_range_m
-    if change * rise > 0.5 * rise * rise and range_m > params.too_close_exit_m:
-        fold.close = 0
+        if not range_m < params.too_close_m:
+            return
+        fold.close = 1
+    else:
+        rise, change = sensor_z_m - fold.close_z_m, range_m - fold.close_range_m
+        if abs(rise) < 0.002:  # too little to tell the branch by
+            return
+        if change * rise > 0.5 * rise * rise and range_m > params.too_close_exit_m:
+            fold.close = 0
     fold.close_z_m = sensor_z_m
     fold.close_range_m = range_m
 

@@ -11,8 +11,8 @@ from surffollow.shm import layout_follow as layout
 from surffollow.shm.jit import jit, jit_inlined, jit_uncounted
 from surffollow.shm.layout_adaptive import DROPOUT, REASON_POSE
 
-# `forceinline` on what runs per channel or conversion: numba hands an array over as seven words and a
-# counted reference, which costs more than the arithmetic (tools/bench_cycle.py)
+# inlined is what runs per channel or conversion: numba hands an array over as seven words, which costs more
+# than the arithmetic (tools/bench_cycle.py)
 
 
 @jit
