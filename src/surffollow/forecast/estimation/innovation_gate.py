@@ -44,7 +44,8 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises
     Notes
     -----
     With u = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `steepest_m` while
-    no slope is known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible change exceeds u.
+    no slope is known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible change
+    exceeds u.
     """
     samples = adaptive.estimate.samples
     usual, sparse_m = gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m
