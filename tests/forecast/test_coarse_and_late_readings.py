@@ -1,4 +1,4 @@
-"""Sensors whose counts are coarse, and readings that overtake each other on their way."""
+"""Sensors with coarse counts or much noise, and readings that overtake each other on their way."""
 
 from __future__ import annotations
 
@@ -51,3 +51,35 @@ def test_readings_that_overtake_each_other_keep_their_timestamps(job, speed_mps,
     print(f"RMS {ours.rms_m(job) / job.standoff_m:.4f} stand-offs")
     assert ours.rms_m(job) < 0.02 * job.standoff_m
     assert ours.clearance_m.min() > 0.9 * job.standoff_m
+
+
+def test_much_noise_does_not_send_the_tool_up():
+    """GIVEN noise of 0.15 stand-offs WHEN a drone follows hills THEN no test answers descents that noise hides."""
+    ratios, offsets = [], []
+    for seed in range(4):
+        ground = hills(DRONE, 3.0, 0.1, seed)
+
+        def misread(t, r, rng):
+            return r + 0.15 * DRONE.standoff_m * float(rng.standard_normal())
+
+        ours, plain = (follow(DRONE, ground, 120.0, 3.0, p, misread, seed) for p in (False, True))
+        ratios.append(ours.rms_m(DRONE) / plain.rms_m(DRONE))
+        offsets.append(float(np.mean(ours.clearance_m)) / DRONE.standoff_m - 1.0)
+    print(f"RMS {np.round(ratios, 2)} of the P loop, mean offset {np.round(offsets, 3)} stand-offs")
+    assert np.mean(ratios) < 1.1
+    assert np.mean(offsets) < 0.02
+
+
+@pytest.mark.parametrize(("noise_standoffs", "seed"), [(0.15, 3), (0.3, 0), (0.3, 2)])
+def test_a_start_in_much_noise_does_not_reject_all_readings(noise_standoffs, seed):
+    """GIVEN a slope taken from two noisy readings WHEN no later one agrees with it THEN the gate opens.
+
+    The drone climbed by four to five stand-offs, until it saw nothing any more.
+    """
+
+    def misread(t, r, rng):
+        return r + noise_standoffs * DRONE.standoff_m * float(rng.standard_normal())
+
+    ours = follow(DRONE, hills(DRONE, 3.0, 0.1, seed), 12.0, 3.0, misread=misread, seed=seed)
+    print(f"highest {ours.clearance_m.max() / DRONE.standoff_m:.2f} stand-offs")
+    assert ours.clearance_m.max() < 2.2 * DRONE.standoff_m

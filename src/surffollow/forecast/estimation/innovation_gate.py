@@ -25,6 +25,13 @@ def update_scale(gate, innovation_m, gate_m):
 
 
 @jit
+def widen_gate(gate):
+    """Raise the usual innovation where many outliers in a row agree with none: they are noise."""
+    if gate.rejected >= 8:
+        gate.scale_m *= 1.25
+
+
+@jit
 def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on):
     """Whether a sample enters the estimate, and the width of the gate; beyond that width it confirms a step.
 

@@ -181,7 +181,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     fast = number >= MAX_READINGS  # with fewer samples in τ the ground changes while an answer is awaited
     doubtful = perceptible and fast and error > LAG_TAUS * tau * rate
     doubtful = doubtful and error * motion > SHIFT_ERROR_MOTION * band_m * standoff_m
-    shifts = suspicious or doubtful or motion > SHIFT_DESCENT * standoff_m
+    shifts = suspicious or doubtful or (perceptible and motion > SHIFT_DESCENT * standoff_m)
     if shifts and response.lift_m == 0.0 and response.run_samples > 2.0 * MIN_MEANS * number:
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
     stop_m = rate * (adaptive.latency.delay_s + tau)  # until the axis has stopped
