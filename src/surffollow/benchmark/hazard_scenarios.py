@@ -88,6 +88,9 @@ KINDS = {
     "blocked and slow": Kind((0.0, 20e-3), (0.3, 1.5), signed=True, interval_ms=(READING_MS, 100)),
     "one of three blocked": Kind((0.0, 20e-3), (0.3, 2.0), signed=True, mounts_m=THREE, slope=(0.0, 0.3)),
     "one of four blocked": Kind((0.0, 20e-3), (0.3, 2.0), signed=True, mounts_m=FOUR, slope=(0.0, 0.3)),
+    "coarse counts": Kind((0.2e-3, 10e-3), (2.0, 2.0)),
+    "much noise": Kind((1e-3, 20e-3), (2.0, 2.0)),
+    "overtaking": Kind(length_s=(2.0, 2.0), late_s=(0.0, 0.04)),
     "blocked on a slope": Kind((0.0, 10e-3), (0.5, 2.0), signed=True, slope=(0.05, 0.3)),
 }
 MAX_CLIMB_MPS = 0.1  # over slopes of more than 1: half of what the axis can
@@ -98,7 +101,7 @@ FAMILIES = tuple(KINDS)
 @dataclass(frozen=True)
 class Scenario:
     """One hazard: readings (poses) wrong by `size_m` for `length_s`, or timestamps too old by `late_s`
-    (negative: in the future)."""
+    (negative: in the future); "overtaking": readings that arrive up to `late_s` later."""
 
     family: str
     seed: int

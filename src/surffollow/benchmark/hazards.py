@@ -105,6 +105,10 @@ def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> flo
         return held + (s.size_m * n if s.family == "frozen" else s.size_m + SIGMA_M * n)
     if s.family in ("biased", "near", "leading wrong", "two of four"):
         return r + (-s.size_m if s.family == "near" else s.size_m)
+    if s.family == "coarse counts":
+        return s.size_m * round(r / s.size_m)
+    if s.family == "much noise":
+        return r + s.size_m * float(rng.standard_normal())
     if s.family == "burst":
         return r + s.size_m * float(rng.uniform(-1.0, 1.0))
     if s.family == "lost":
@@ -161,16 +165,20 @@ def play(follower: Any, s: Scenario) -> Outcome:
             q = quaternion(tilt)
             r = np.array([true_range(ground, later, x, axis[0], q, m) for m in kind.mounts_m])
             r += SIGMA_M * rng.standard_normal(n)
-            stamp = ms
+            stamp, arrival = ms, ms + LATE_MS
             if wrong:
                 if wrong_n == 0:
                     held = r.copy()
                 for c in faulty:
                     r[c] = misread(s, r[c], held[c], rng)
-                stamp = ms - round(1e3 * s.late_s)
+                if s.family == "overtaking":
+                    arrival += round(1e3 * s.late_s * rng.random())
+                else:
+                    stamp = ms - round(1e3 * s.late_s)
                 wrong_n += 1
             r[~((r > NEAR_M) & (r < FAR_M))] = math.nan
-            readings.append((ms + LATE_MS, stamp, r))
+            readings.append((arrival, stamp, r))
+            readings.sort(key=lambda reading: reading[0])
         while poses and poses[0][0] + POSE_LATE_MS <= ms:
             at, (px, pz), own, pt = poses.pop(0)
             follower.pose((1000 + at) * 1_000_000, np.array([px, 0.0, pz, *quaternion(pt)]))
