@@ -54,7 +54,7 @@ def test_readings_that_overtake_each_other_keep_their_timestamps(job, speed_mps,
 
 
 def test_much_noise_does_not_send_the_tool_up():
-    """GIVEN noise of 0.15 stand-offs WHEN a drone follows hills THEN no test answers descents that noise hides."""
+    """GIVEN noise of 0.15 stand-offs WHEN a drone follows hills THEN it is followed as by a P loop."""
     ratios, offsets = [], []
     for seed in range(4):
         ground = hills(DRONE, 3.0, 0.1, seed)
