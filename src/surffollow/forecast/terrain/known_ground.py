@@ -39,6 +39,12 @@ def known_height(adaptive, inputs, s_m, ahead_m):
 
 
 @jit
+def disagreement_m(adaptive):
+    """Difference from which two heights of one place disagree [m]."""
+    return max(DISAGREEMENT_M, DISAGREEMENT_SIGMAS * adaptive.noise.sigma_m)
+
+
+@jit
 def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     """Compare the newest sample of channel 0 with known ground; whether two in a row contradict it.
 
@@ -60,7 +66,7 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     beyond = known_height(adaptive, inputs, s + REGISTRATION_M, ahead_m + REGISTRATION_M)
     # the first one is known; NaN is neither greater nor less
     highest, lowest = max(here, behind, beyond), min(here, behind, beyond)
-    gate = max(DISAGREEMENT_M, DISAGREEMENT_SIGMAS * adaptive.noise.sigma_m)
+    gate = disagreement_m(adaptive)
     agrees = lowest - gate < h_m - known.bias_m < highest + gate
     known.contradictions = 0 if agrees else known.contradictions + 1
     fading = min(adaptive.sample.spacing_m / DROP_LENGTH_M, 1.0) if known.peak_m != 0.0 else 1.0

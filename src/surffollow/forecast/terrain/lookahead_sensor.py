@@ -4,9 +4,9 @@ Their heights enter the terrain buffer; a sample that disagrees with the one bef
 """
 
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import APART_M
+from surffollow.forecast.quantities import APART_M, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.kinematics import distance_along, is_at_rest, predict_pose
-from surffollow.forecast.terrain.known_ground import DISAGREEMENT_M
+from surffollow.forecast.terrain.known_ground import disagreement_m
 from surffollow.forecast.terrain.terrain_buffer import CELL_M, store_ground
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
@@ -34,6 +34,7 @@ def observe_lookahead(params, adaptive, sense, pose):
         t = sense.range_t_ns[c] + adaptive.hold.shift_ns
         if sense.fresh[c] == 0 or t < lookahead.range_ns[c] + params.hold_ns:
             continue
+        travel_m = kinematics.speed_mps * (t - lookahead.range_ns[c]) * 1e-9
         lookahead.range_ns[c] = t
         t -= int(adaptive.latency.correction_s * 1e9)
         predict_pose(kinematics, sense, t, pose)
@@ -41,7 +42,7 @@ def observe_lookahead(params, adaptive, sense, pose):
         dx, dy = x - sample.x_m, y - sample.y_m
         along = distance_along(kinematics, dx, dy)
         across = (dx * kinematics.velocity_y_mps - dy * kinematics.velocity_x_mps) / kinematics.speed_mps
-        agrees = abs(z - lookahead.height_m[c]) < DISAGREEMENT_M
+        agrees = abs(z - lookahead.height_m[c]) < disagreement_m(adaptive) + PLAUSIBLE_SLOPE * travel_m
         lookahead.height_m[c] = z
         leads = APART_M < along < (BUFFER_CELLS - 1) * CELL_M and abs(across) < APART_M
         if agrees and leads:
