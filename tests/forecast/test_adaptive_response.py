@@ -290,3 +290,25 @@ def test_a_reset_ends_a_test():
     f.reset()
     assert int(record["phase"]) == RESPONSE_RUN
     assert int(record["t_ns"]) == 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_lower_standoff_is_no_reason_to_test_a_good_sensor(seed):
+    """GIVEN a slow sensor that reads the old stand-off WHEN a lower one is set THEN the tool descends at once."""
+    plant = {"tau_s": 2.0, "v_max_mps": 0.8, "a_max_mps2": 0.4}
+    f = Follower({"plant": plant, "sensors": [{"near_m": 0.5, "far_m": 50.0}]}, offset_m=14.0)
+    rng, z, goal, phases = np.random.default_rng(seed), 14.0, 14.0, set()
+    for k in range(4000):
+        t_ns, x = 10**10 + k * 100 * MS, 0.15 * k
+        ground = 0.3 * math.sin(0.05 * x + seed)
+        f.pose(t_ns, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        reading = z - ground + 0.1 * rng.standard_normal() if k % 2 == 0 else math.nan
+        goal = z + float(f.step(t_ns, [reading])[2])
+        z += 0.1 * float(np.clip((goal - z) / 2.0, -0.8, 0.8))
+        if k == 3000:
+            f.set_params(offset=10.0)
+        if k > 3000:
+            phases.add(int(f._state["adaptive"][0]["response"]["phase"]))
+        if k == 3100:
+            assert z - ground < 11.0, "10 s are five time constants"
+    assert phases == {RESPONSE_RUN}

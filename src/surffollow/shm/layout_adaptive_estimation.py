@@ -36,6 +36,7 @@ class Gate(Schema):
     withheld_m = F64(unit="m", doc="innovation of a nearer sample that waits for a second one; 0: none")
     nearer = I64(doc="1: the newest sample was nearer than the models follow; so may the next one be")
     rejected = I64(doc="outliers in a row that did not agree with the one before")
+    opposed = I64(doc="of those, outliers on the other side than the one before")
     odd = I64(doc="1: the newest outlier does not agree with the pending ones, which stay")
     slot_likelihood = F64(
         doc="likelihood that a hollow is a slot: 1 not known, toward 0 by steps that stayed"

@@ -96,6 +96,7 @@ class Response(Schema):
     usual_m = F64(unit="m", doc="the usual one")
     run_range_m = F64(unit="m", doc="mean range of the run of constant ranges")
     run_samples = I64(doc="samples since its begin")
+    standoff_m = F64(unit="m", doc="stand-off then")
     slope = F64(doc="slope of the ground then")
     top_z_m = F64(unit="m", doc="greatest height of the tool in the run")
     low_z_m = F64(unit="m", doc="least height of the tool in the run")

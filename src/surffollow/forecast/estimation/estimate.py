@@ -187,7 +187,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
             innovation_gate.update_scale(gate, innovation, width)  # frequent ones mean rough ground
         innovation_gate.withhold_sample(gate, innovation, rise, not outside)
         if adapt and since_accepted_ns * 1e-9 > 2.0 * adaptive.plant.tau_s:
-            innovation_gate.widen_gate(gate)
+            innovation_gate.widen_gate(gate, estimate.samples)
         return False
     if outside and gate.pending > estimate.samples:
         restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)

@@ -7,7 +7,13 @@ because it may be a slot. The distance depends on the likelihood of slots: slots
 import math
 
 from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
-from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PLAUSIBLE_SLOPE, QUICK_RATE
+from surffollow.forecast.quantities import (
+    CONFIRMATION_SAMPLES,
+    MAX_SLOPE,
+    PLAUSIBLE_SLOPE,
+    QUICK_RATE,
+    USUAL_SAMPLES,
+)
 from surffollow.forecast.sensing.sample_hold import count_m
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
@@ -25,9 +31,12 @@ def update_scale(gate, innovation_m, gate_m):
 
 
 @jit
-def widen_gate(gate):
-    """Raise the usual innovation where many outliers in a row agree with none: they are noise."""
-    if gate.rejected >= 8:
+def widen_gate(gate, samples):
+    """Raise the usual innovation where many outliers in a row agree with none, and lie on both sides.
+
+    They are noise. After few `samples` the estimate itself may lie on one side of them.
+    """
+    if gate.rejected >= 8 and (gate.opposed >= 3 or samples < USUAL_SAMPLES):
         gate.scale_m *= 1.25
 
 
@@ -113,6 +122,7 @@ def hold_pending(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on
     else:
         if gate.pending > 0:
             gate.rejected += 1
+            gate.opposed += 1 if innovation_m * gate.pending_innovation_m < 0.0 else 0
         gate.pending = 1
         gate.pending_innovation_m = gate.pending_arc_length_m = gate.pending_height_m = 0.0
         gate.pending_travel_m = params.step_travel_m if gap else 0.0
@@ -203,7 +213,7 @@ def accept_sample(params, gate):
     """Drop the pending samples; if they were enough for a step, they were a slot."""
     if gate.pending >= params.step_samples:
         gate.slot_likelihood = 1.0
-    gate.pending = gate.rejected = 0
+    gate.pending = gate.rejected = gate.opposed = 0
     gate.unconfirmed_m = gate.withheld_m = 0.0
     gate.nearer = 0
 
@@ -222,7 +232,7 @@ def register_step(params, gate, t_ns):
     gate.nearer = 1 if gate.pending_innovation_m > 0.0 else 0
     gate.step_m = 0.0 if leaves_slot else gate.pending_innovation_m / gate.pending
     gate.step_ns = t_ns
-    gate.pending = gate.rejected = 0
+    gate.pending = gate.rejected = gate.opposed = 0
     gate.withheld_m = 0.0
 
 
@@ -231,7 +241,7 @@ def reset_gate(gate, fresh):
     """Drop pending samples and the last step; scale and likelihood of slots stay but in a fresh start."""
     if fresh:
         gate.scale_m, gate.slot_likelihood = 2.0 * INITIAL_NOISE_M, 1.0
-    gate.pending = gate.rejected = gate.nearer = 0
+    gate.pending = gate.rejected = gate.opposed = gate.nearer = 0
     gate.unconfirmed_m = gate.withheld_m = 0.0
     gate.travel_since_step_m = gate.step_m = 0.0
     gate.step_ns = 0

@@ -52,10 +52,10 @@ ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on g
 
 
 @jit
-def _begin_run(adaptive, tool_z_m):
-    """Begin a run of constant ranges at the present mean, over the present slope."""
+def _begin_run(params, adaptive, tool_z_m):
+    """Begin a run of constant ranges at the present mean, over the present slope, for this stand-off."""
     response = adaptive.response
-    response.slope = adaptive.estimate.slope
+    response.slope, response.standoff_m = adaptive.estimate.slope, params.offset_m
     response.phase, response.run_samples, response.lift_m = RESPONSE_RUN, 0, 0.0
     response.run_range_m = response.mean_m
     response.top_z_m = response.low_z_m = tool_z_m
@@ -173,7 +173,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
         return
     motion = ASCENT_SHARE * ascent if rises else descent
     below = abs(adaptive.sample.lead_m) < APART_M
-    error = abs(response.run_range_m - standoff_m) if below else 0.0
+    error = abs(response.run_range_m - response.standoff_m) if below else 0.0
     wrong = is_suspicious(error, motion, rate, band_m, tau, standoff_m)
     quiet = _is_quiet(response)
     perceptible = motion > MOTION_BANDS * band_m
@@ -210,7 +210,7 @@ def _excess_lead_m(adaptive, tool_z_m):
 
 
 @jit
-def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
+def _update_test(params, adaptive, t_ns, tool_z_m, number, band_m):
     """Go from a hold to a lift, and end one without response: the sensor is stuck, if the tool obeyed.
 
     It obeyed a lift from a descent when it is there, and that from an ascent when the setpoint is ahead of it
@@ -219,7 +219,7 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
 
     Parameters
     ----------
-    adaptive : record of `AdaptiveState` (`response` updated)
+    params, adaptive : records of `Params`, `AdaptiveState` (`response` updated)
     t_ns : int64        timestamp of the sample
     tool_z_m : float64  height of the tool at that time [m]
     number : float64    ranges in their mean
@@ -243,7 +243,7 @@ def _update_test(adaptive, t_ns, tool_z_m, number, band_m):
     if response.repeated != 0 or (applied and response.missing_m < OBEYED[response.rises] * response.lift_m):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
-        _begin_run(adaptive, tool_z_m)
+        _begin_run(params, adaptive, tool_z_m)
 
 
 @jit_inlined
@@ -278,13 +278,13 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
         response.settled_ns = t_ns + int(1e9 * back_s)
         if begins or abs(range_m - response.mean_m) > BAND_SIGMAS * sigma:  # of a step the mean sees a part
             response.mean_m = range_m
-        _begin_run(adaptive, tool_z_m)
+        _begin_run(params, adaptive, tool_z_m)
     elif response.phase == RESPONSE_RUN and t_ns < response.settled_ns and not _repeats(response):
-        _begin_run(adaptive, tool_z_m)  # the tool is on its way back from a test
+        _begin_run(params, adaptive, tool_z_m)  # the tool is on its way back from a test
     elif response.phase == RESPONSE_RUN:
         _update_run(params, adaptive, t_ns, tool_z_m, number, band)
     elif response.phase != RESPONSE_FAILED:
-        _update_test(adaptive, t_ns, tool_z_m, number, band)
+        _update_test(params, adaptive, t_ns, tool_z_m, number, band)
 
 
 @jit
