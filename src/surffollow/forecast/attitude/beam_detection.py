@@ -19,10 +19,7 @@ from surffollow.forecast.sensing.response import MOTION_BANDS
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
 
-CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
-STUCK_SAMPLES = 12.0  # a stuck beam repeats its range for so many usual intervals longer than a drop-out
-CHANGES = 6  # of the ranges of two others by turns in a second, while that of a beam stays: no chance
-WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
+TURNED_SAMPLES = 5  # after so many outside the gate the ground has turned
 
 
 @jit
@@ -127,7 +124,8 @@ def is_blocked(params, adaptive, c):
         n += 1 if beams.t_ns[k] != 0 and abs(beams.t_ns[c] - beams.t_ns[k]) <= MISSING_NS else 0
     least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
     changes = beams.changes - beams.run_changes[c]
-    return n == 3 and changes >= CHANGES and beams.run_motion_m[c] > least_m
+    # six changes of the two others by turns in a second are no chance
+    return n == 3 and changes >= 6 and beams.run_motion_m[c] > least_m
 
 
 @jit
@@ -176,10 +174,9 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
 
 @jit
 def is_repeating(adaptive, c):
-    """Whether a beam repeats its range for longer than chance explains."""
-    beams = adaptive.beams
-    stuck_ns = MAX_GAP_NS + STUCK_SAMPLES * adaptive.prediction.interval_s * 1e9
-    return beams.t_ns[c] - beams.repeat_ns[c] > stuck_ns
+    """Whether a beam repeats its range for longer than chance explains: a drop-out and 12 intervals."""
+    stuck_ns = MAX_GAP_NS + 12.0 * adaptive.prediction.interval_s * 1e9
+    return adaptive.beams.t_ns[c] - adaptive.beams.repeat_ns[c] > stuck_ns
 
 
 @jit
@@ -226,12 +223,12 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
             deviates = abs(deviation) > 1.0 and begun and not rises
             beams.deviation[c] = deviation
             count = beams.outside_count[c] + (1 if deviates else -1)
-            beams.outside_count[c] = min(max(count, 0), 2 * CONFIRMATION_SAMPLES)
-            unconfirmed = deviates and count <= CONFIRMATION_SAMPLES
+            beams.outside_count[c] = min(max(count, 0), 2 * TURNED_SAMPLES)
+            unconfirmed = deviates and count <= TURNED_SAMPLES
             stuck = repeating == 1 and n >= 2 and is_repeating(adaptive, c)
             rejected = stuck or unconfirmed or (majority and count > 0)
         beams.accepted[c] = 0 if rejected else 1
-        recovered = min(beams.weight[c] + WEIGHT_RECOVERY, 1.0) if begun else 1.0
+        recovered = min(beams.weight[c] + 0.1, 1.0) if begun else 1.0  # it comes back within ten samples
         beams.weight[c] = 0.0 if rejected else recovered
         good += beams.accepted[c]
     return good

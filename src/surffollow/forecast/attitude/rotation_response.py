@@ -9,7 +9,7 @@ or not. If it does not, the tool does not turn (`ROTATION_FAILED`) until the dev
 
 import math
 
-from surffollow.forecast.attitude.plane_fit import SLOPE_BANDWIDTH_RADPS
+from surffollow.forecast.attitude.plane_fit import slope_gain
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between
 from surffollow.forecast.quantities import MISSING_NS
@@ -83,7 +83,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
         mean[0], mean[1] = dx, dy
         _begin_run(rotation, t_ns, axis)
         return
-    share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
+    share = slope_gain(dt)
     mean[0], mean[1] = mean[0] + share * (dx - mean[0]), mean[1] + share * (dy - mean[1])
     # beyond four standard deviations of the mean the deviation has changed
     band = 4.0 * max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(share / plane.spread_m2)
