@@ -19,8 +19,6 @@ from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
-MAX_UNCERTAIN = 0.35  # of the stand-off: no demand is valid when more of the clearance may be lost unseen
-WINDOW_EDGE_M = 0.003  # a loss so near an end of the window, as the last sample or the next, is OUT_OF_RANGE
 
 
 @jit
@@ -59,7 +57,8 @@ def is_lost(params, adaptive):
     estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
     if estimate.samples == 0 or (stuck and silent):
         return True
-    if (stuck or silent) and uncertain_clearance(adaptive) > MAX_UNCERTAIN * params.offset_m:
+    # no demand is valid when more than this of the stand-off may be lost unseen
+    if (stuck or silent) and uncertain_clearance(adaptive) > 0.35 * params.offset_m:
         return True
     return adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
 
@@ -95,11 +94,11 @@ def silent_channels(params, health, now_ns):
 
 @jit
 def is_outside(params, adaptive):
-    """Whether the last sample or the next one is near an end of the window."""
+    """Whether the last sample or the next one is within 3 mm of an end of the window."""
     hold, prediction = adaptive.hold, adaptive.prediction
     next_m = predict_range(prediction, prediction.interval_s)
     nearest_m, farthest_m = min(hold.range_m, next_m), max(hold.range_m, next_m)
-    return min(nearest_m - params.range_min_m, params.range_max_m - farthest_m) < WINDOW_EDGE_M
+    return min(nearest_m - params.range_min_m, params.range_max_m - farthest_m) < 0.003
 
 
 @jit_inlined

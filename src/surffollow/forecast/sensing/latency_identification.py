@@ -15,8 +15,6 @@ from surffollow.forecast.sensing import clock, kinematics
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
-MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
-
 
 @jit
 def reset_window(latency):
@@ -70,11 +68,12 @@ def update_correction(adaptive, adapt):
         # noise is left, or little of the change of height; otherwise the ground moved, or was not one spot
         left_m2 = n * residual * residual
         explained = left_m2 < latency.step_step or left_m2 < 0.1 * latency.height_height
-        if abs(delta_s) < MAX_CORRECTION_S and residual < 3.0 * noise + 0.5e-3 and explained:
+        most_s = 0.1  # greater latencies have to be configured
+        if abs(delta_s) < most_s and residual < 3.0 * noise + 0.5e-3 and explained:
             var = max(residual, noise) ** 2 / latency.climb_climb
             prior = 0.03**2  # variance of the latency before a rest [s²]
             corrected_s = latency.correction_s + prior / (prior + var) * delta_s
-            latency.correction_s = min(max(corrected_s, -MAX_CORRECTION_S), MAX_CORRECTION_S)
+            latency.correction_s = min(max(corrected_s, -most_s), most_s)
     reset_window(latency)
 
 

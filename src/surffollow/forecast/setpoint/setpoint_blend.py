@@ -12,13 +12,6 @@ from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
-DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
-DEADBAND_SOFTNESS = 2.5  # in deadbands
-HEIGHT_MARGIN_M = 1e-3  # of the change of height beyond what the steepest slope gives
-# of the travel since the newest sample of a slow sensor: valleys cost 17 instead of 3 mm of clearance with 0
-# (bench_hazards.py, "valley and slow"), a winch's error is 15 % greater with 1 (bench_scales.py)
-LEVEL_SHARE = 0.5
-
 
 @jit
 def dropout_s(adaptive):
@@ -51,10 +44,12 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """
     bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
     model_bank.extrapolate_bank(bank, ahead_m)
-    margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + abs(lead_m))
+    margin = 1e-3 + max_slope * (abs(ahead_m) + abs(lead_m))
     unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
     if innovation_gate.is_slow(adaptive):
-        unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
+        # with 0 valleys cost 17 instead of 3 mm of clearance (bench_hazards.py, "valley and slow"), with 1 a
+        # winch's error is 15 % greater (bench_scales.py)
+        unseen_m = max(unseen_m, 0.5 * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
     z, slope, sign = 0.0, 0.0, math.copysign(1.0, ahead_m)
@@ -142,8 +137,8 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
 def filter_setpoint(params, adaptive, target_m):
     """Filter the blend: it continues at the predicted rate while it is within the deadband.
 
-    Beyond the deadband b the excess x decays by dx/dt = −x² / (DEADBAND_SOFTNESS · b · DEADBAND_DECAY_S). The
-    result does not depend on the length of the cycle.
+    Beyond the deadband b the excess x decays by dx/dt = −x² / (2.5 b · 10 ms): one of 2.5 b is halved in
+    10 ms. The result does not depend on the length of the cycle.
     """
     clock, adaptation, blend = adaptive.clock, adaptive.adaptation, adaptive.blend
     dt = (clock.now_ns - blend.filtered_ns) * 1e-9
@@ -158,8 +153,8 @@ def filter_setpoint(params, adaptive, target_m):
     deadband_m = params.deadband_share * adaptation.permitted_variance_m
     excess = abs(e) - deadband_m
     if excess > 0.0:
-        softness = DEADBAND_SOFTNESS * deadband_m
-        remaining = deadband_m + excess * softness / (softness + excess * dt / DEADBAND_DECAY_S)
+        softness = 2.5 * deadband_m
+        remaining = deadband_m + excess * softness / (softness + excess * dt / 0.01)
         blend.filtered_m = target_m - math.copysign(remaining, e)
     return blend.filtered_m
 
@@ -184,9 +179,8 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(params, adaptive.response, standoff_m)
-    # ground that is not seen may rise as steeply as it did before
-    unseen = (
-        tool_z_m + unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s) if stuck else -math.inf
-    )
-    tested = min(max(target_m, unseen, lowest), highest)
+    if stuck:  # ground that is not seen may rise as steeply as it did before
+        rise_m = unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s)
+        target_m = max(target_m, tool_z_m + rise_m)
+    tested = min(max(target_m, lowest), highest)
     return max(tested, no_descent, innovation_gate.withheld_setpoint(adaptive, standoff_m))
