@@ -82,8 +82,7 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     wait_s = controller_clock.mean_wait_s(params, controller)
     ahead_m += motion.speed_mps * ((latch_ns - now_ns) * 1e-9 - wait_s)
     known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
-    preview.update_share(adaptive, known, plant_identification.model_error(adaptive.plant))
-    if known >= preview.MIN_KNOWN_PERIODS:
+    if preview.update_share(adaptive, known, plant_identification.model_error(adaptive.plant)):
         z, v = plant_identification.predict_axis(params, adaptive, latch_ns)
         preview.extrapolate_ground(adaptive, known, ahead_m)
         standoff_m += tested_setpoint.setpoint_shift_m(adaptive.response)
@@ -184,7 +183,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     if fold.close != 0:
         health.latch_fault(adaptive.health, layout_adaptive.FAULT_CLOSE)
         status |= layout.TOO_CLOSE
-        limited = max(limited, min(fold_back.PROBE_M, params.max_demand_m))
+        limited = fold_back.lead_away(params, limited)
         attitude.release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     output.demand[2] = limited
     if fold.close == 0 and not stuck and orients and adaptive.plane.count > 0:

@@ -8,8 +8,6 @@ reading to move with it (the true branch) beyond the exit distance.
 
 from surffollow.shm.jit import jit_inlined
 
-PROBE_M = 0.001  # least demand away from the surface while the branch is in doubt
-
 
 @jit_inlined
 def watch_fold_back(params, fold, range_m, sensor_z_m):
@@ -33,6 +31,12 @@ def watch_fold_back(params, fold, range_m, sensor_z_m):
             fold.close = 0
     fold.close_z_m = sensor_z_m
     fold.close_range_m = range_m
+
+
+@jit_inlined
+def lead_away(params, demand_m):
+    """Demand while the branch is in doubt: at least 1 mm away from the surface [m]."""
+    return max(demand_m, min(0.001, params.max_demand_m))
 
 
 @jit_inlined

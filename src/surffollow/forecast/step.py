@@ -135,7 +135,7 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
     if state.fold.close != 0:
         status |= layout.TOO_CLOSE
         if not lost:
-            dz = max(dz, min(fold_back.PROBE_M, params.max_demand_m))
+            dz = fold_back.lead_away(params, dz)
     output.demand[2] = dz
     return status
 

@@ -11,7 +11,6 @@ from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
-SETTLING_NS = 60_000_000  # after a start or a loss the performance index waits until setpoints have acted
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 
 
@@ -70,7 +69,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = t_ns
-    estimate.settle_ns = t_ns + SETTLING_NS
+    estimate.settle_ns = t_ns + 60_000_000  # the performance index waits until setpoints have acted
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
     store_ground(adaptive, estimate.arc_length_m, h_m)
     blend_models(adaptive)

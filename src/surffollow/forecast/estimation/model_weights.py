@@ -15,12 +15,8 @@ from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
-WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[model_bank.KIND]
-# power of the effort: on rough ground the smoother of two equal models is better, and during
-# burn-in a model that follows the noise may fit by chance
-ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
 
 
 @jit
@@ -76,7 +72,9 @@ def compute_costs(params, adaptive):
     s = min(1.4 * noise_m * noise_m, least_j) / least_j if least_j > 0.0 else 1.0
     alpha, p_l = weights.scored / FULL_POWER_SAMPLES, params.long_power
     p_j = p_l + (params.score_power - p_l) * (s * s * alpha * alpha)
-    p_e = ROUGH_EFFORT_POWER * ((1.0 - s) * (1.0 - s)) + BURN_IN_EFFORT_POWER * s * s * (1.0 - alpha)
+    # on rough ground the smoother of two equal models is better, and during burn-in a model that follows the
+    # noise may fit by chance
+    p_e = 0.8 * ((1.0 - s) * (1.0 - s)) + 6.0 * s * s * (1.0 - alpha)
     noise_j = params.noise_share * min(noise_m * noise_m, least_j)
     noise_l = params.noise_share * min(noise_m * noise_m, least_l)
     floor = params.score_floor_m * params.score_floor_m
@@ -106,7 +104,7 @@ def update_weights(params, adaptive, dt_s):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
     alpha = weights.scored / FULL_POWER_SAMPLES
-    rate = 1.0 - math.exp(-dt_s / (WEIGHT_TIME_CONSTANT_S * alpha))
+    rate = 1.0 - math.exp(-dt_s / (0.02 * alpha))  # quicker while little was scored
     for i in range(N_MODELS):
         weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
     weights.waiting_s = 0.0

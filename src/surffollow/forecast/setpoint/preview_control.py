@@ -19,7 +19,6 @@ from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
-ADMM_PENALTY = 60.0
 ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
 
 
@@ -86,8 +85,8 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     plan = adaptive.plan
     n = HORIZON
     limit = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
-    effort = params.plan_effort_s4 / PERIOD_S**4
-    stiffness = effort + ADMM_PENALTY
+    penalty = 60.0  # of ADMM
+    stiffness = params.plan_effort_s4 / PERIOD_S**4 + penalty
     factorise(plan, known, stiffness)
     begin = 2.0 * v_mps * PERIOD_S  # b_0 = 2 z_0 - 2 v T, relative to now
     for k in range(n - 1):
@@ -101,7 +100,7 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
             plan.position_m[k] = point_weight(k, known) * ground
         for k in range(n):
             # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
-            r = ADMM_PENALTY * (plan.acceleration_m[k] - plan.multiplier_m[k])
+            r = penalty * (plan.acceleration_m[k] - plan.multiplier_m[k])
             plan.position_m[k] += 2.0 * (r + stiffness * begin) if k == 0 else r
             if k >= 1:
                 plan.position_m[k - 1] -= 2.0 * r

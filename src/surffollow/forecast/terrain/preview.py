@@ -10,7 +10,6 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
-MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of the axis
 PREDICTION_M = 0.04  # over which predictions by the bank are compared; farther on they end
 
 
@@ -101,7 +100,9 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
 
 @jit
 def update_share(adaptive, known, plant_m2):
-    """Raise or lower preview's share of the setpoint by one controller period.
+    """Raise or lower preview's share of the setpoint by one controller period; whether a plan is possible.
+
+    It needs known ground over the reaction time of the axis, seven periods.
 
     Parameters
     ----------
@@ -112,10 +113,11 @@ def update_share(adaptive, known, plant_m2):
     # ground that is known from channel 0: an uncertain plan is better than none
     preview, leads = adaptive.preview, terrain_buffer.sensor_leads(adaptive)
     trusted = leads or adaptive.clock.now_ns >= preview.suspended_until_ns
-    usable = known >= MIN_KNOWN_PERIODS and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
+    usable = known >= 7 and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
     preview.share += 0.15 if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0
+    return known >= 7
 
 
 @jit
