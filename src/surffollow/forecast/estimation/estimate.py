@@ -15,28 +15,19 @@ MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is
 
 
 @jit_inlined
-def blend_height(adaptive):
-    """Blended height at the point up to which the models are propagated [m]: h = Σ w_i h_i."""
-    h = 0.0
-    for i in range(N_MODELS):
-        h += adaptive.weights.weight[i] * adaptive.bank.height_m[i]
-    return h
-
-
-@jit_inlined
 def blend_models(adaptive):
     """Blend height, slope and variance of the models at the newest sample.
 
     σ² = Σ w_i (P_i + (h_i − h)²)
     """
     bank, weights, estimate = adaptive.bank, adaptive.weights, adaptive.estimate
-    h, s, spread, variance = blend_height(adaptive), 0.0, 0.0, 0.0
+    h, spread, variance = model_weights.blended(adaptive, bank.height_m), 0.0, 0.0
     for i in range(N_MODELS):
         e = bank.height_m[i] - h
-        s += weights.weight[i] * bank.slope[i]
         variance += weights.weight[i] * max(bank.p00[i], 0.0)
         spread += weights.weight[i] * e * e
-    estimate.height_m, estimate.slope, estimate.sigma_m = h, s, math.sqrt(variance + spread)
+    estimate.height_m, estimate.slope = h, model_weights.blended(adaptive, bank.slope)
+    estimate.sigma_m = math.sqrt(variance + spread)
     estimate.gain = variance / max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2  # just after an update
 
 
@@ -172,7 +163,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     moved_m = max(travel, GROUND_SPEED_MPS * dt)
     way = moved_m if rests else travel
     model_bank.propagate_bank(bank, way, moved_m)
-    estimate.height_m = blend_height(adaptive)
+    estimate.height_m = model_weights.blended(adaptive, bank.height_m)
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
     steepest = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)

@@ -12,11 +12,20 @@ import numpy as np
 from surffollow.forecast.estimation import model_bank, setpoint_lead
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.forecast.sensing.kinematics import path_speed
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
 
 # per kind of model: a wave fits part of any noise for a while, a curve a smaller part
 CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[model_bank.KIND]
+
+
+@jit_inlined
+def blended(adaptive, values):
+    """Blend of the models' values: Σ w_i x_i."""
+    total = 0.0
+    for i in range(N_MODELS):
+        total += adaptive.weights.weight[i] * values[i]
+    return total
 
 
 @jit

@@ -3,7 +3,7 @@
 import math
 
 from surffollow.forecast import quantities
-from surffollow.forecast.estimation import innovation_gate, model_bank
+from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import health, measurement, unseen_ground
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
@@ -42,7 +42,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     -------
     float64 [m], float64
     """
-    bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
+    bank, blend, sign = adaptive.bank, adaptive.blend, math.copysign(1.0, ahead_m)
     model_bank.extrapolate_bank(bank, ahead_m)
     margin = 1e-3 + max_slope * (abs(ahead_m) + abs(lead_m))
     unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
@@ -52,7 +52,6 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         unseen_m = max(unseen_m, 0.5 * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
-    z, slope, sign = 0.0, 0.0, math.copysign(1.0, ahead_m)
     for i in range(N_MODELS):
         rise, left_out = bank.rise_m[i], adaptive.lead.left_out[i]
         change = rise + lead_m * bank.slope_ahead[i]
@@ -69,10 +68,8 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         blend.axis_m[i] = h + change
         if i < N_LEADS:
             blend.axis_m[N_MODELS + i] = h + rise
-    for i in range(N_MODELS):  # behind the loop above, which vectorises
-        z += weights.weight[i] * blend.model_m[i]
-        slope += weights.weight[i] * blend.model_slope[i]
-    return z, slope
+    # behind the loop above, which vectorises
+    return model_weights.blended(adaptive, blend.model_m), model_weights.blended(adaptive, blend.model_slope)
 
 
 @jit_inlined

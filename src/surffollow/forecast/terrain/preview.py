@@ -2,13 +2,12 @@
 
 import math
 
-from surffollow.forecast.estimation import model_bank, noise
+from surffollow.forecast.estimation import model_bank, model_weights, noise
 from surffollow.forecast.plant.axis_model import MAX_MODEL_ERROR_M, PERIOD_S
 from surffollow.forecast.quantities import USUAL_SAMPLES
 from surffollow.forecast.terrain import known_ground, terrain_buffer
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
-from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
 PREDICTION_M = 0.04  # over which predictions by the bank are compared; farther on they end
 
@@ -16,11 +15,8 @@ PREDICTION_M = 0.04  # over which predictions by the bank are compared; farther 
 @jit
 def bank_rise(adaptive, ahead_m):
     """Blended change of height from the newest sample to a point ahead of it [m]."""
-    bank, weights, rise = adaptive.bank, adaptive.weights, 0.0
-    model_bank.extrapolate_bank(bank, ahead_m)
-    for i in range(N_MODELS):
-        rise += weights.weight[i] * bank.rise_m[i]
-    return rise
+    model_bank.extrapolate_bank(adaptive.bank, ahead_m)
+    return model_weights.blended(adaptive, adaptive.bank.rise_m)
 
 
 @jit
