@@ -9,6 +9,7 @@ from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
 from surffollow.forecast.estimation import adaptation
 from surffollow.forecast.plant import axis_model, controller_clock, plant_identification
+from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
 from surffollow.forecast.setpoint import preview_control, setpoint_blend, setpoint_limits, tested_setpoint
 from surffollow.forecast.terrain import known_ground, lookahead_sensor, preview
@@ -25,7 +26,7 @@ def distance_ahead(params, adaptive, sense):
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState`, `SenseState`
     """
-    motion, sample, newest = adaptive.kinematics, adaptive.sample, (sense.pose_count - 1) & (layout.POSES - 1)
+    motion, sample, newest = adaptive.kinematics, adaptive.sample, newest_pose(sense)
     if kinematics.is_at_rest(motion):
         return 0.0
     gap_x = sense.pose[7 * newest] + sample.tip_x_m - sample.x_m
@@ -131,7 +132,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     Needs a pose. The demand adds to the newest pose reported, `output.pose_t_ns`.
     """
     estimate, controller, setpoint = adaptive.estimate, adaptive.controller, adaptive.setpoint
-    newest = (sense.pose_count - 1) & (layout.POSES - 1)
+    newest = newest_pose(sense)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
     orients = params.orient != 0 and params.n_channels >= 3
     if clock.update_clock(adaptive.clock, inputs.t_ns, pose_t_ns):

@@ -57,6 +57,12 @@ def rotation_between(ax, ay, az, bx, by, bz):
 
 
 @jit_inlined
+def newest_pose(sense):
+    """Slot of the newest pose report in its rings."""
+    return (sense.pose_count - 1) & (POSES - 1)
+
+
+@jit_inlined
 def push_pose(sense, t_ns, pose, at):
     """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused).
 
@@ -68,7 +74,7 @@ def push_pose(sense, t_ns, pose, at):
     at : int                        index of the first number
     """
     n = sense.pose_count
-    if n > 0 and t_ns <= sense.pose_t_ns[(n - 1) & (POSES - 1)]:
+    if n > 0 and t_ns <= sense.pose_t_ns[newest_pose(sense)]:
         sense.poses_refused += 1
         return 0
     slot = n & (POSES - 1)
@@ -103,7 +109,7 @@ def report_pose(state, step_ns, t_ns, pose):
         pose[i] /= norm
     sense = state[0].sense
     if sense.pose_count > 0:
-        newest = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+        newest = sense.pose_t_ns[newest_pose(sense)]
         jump_ns = clock_jump_ns(state[0].scaled)
         if t_ns <= newest - jump_ns and newest > max(t_ns, step_ns) + jump_ns:
             sense.pose_count = 0  # else a single wrong stamp would refuse every report for ever
@@ -123,15 +129,12 @@ def pose_at(sense, t_ns, interpolate, out):
     interpolate : int   0: the latest pose
     out : (7,) float64  receives x y z [m], qx qy qz qw
     """
-    n = sense.pose_count
-    newest = (n - 1) & (POSES - 1)
-    oldest = max(0, n - POSES)
-    k = n - 1
+    k, oldest = sense.pose_count - 1, max(0, sense.pose_count - POSES)
     if interpolate != 0:
         while k > oldest and sense.pose_t_ns[k & (POSES - 1)] > t_ns:
             k -= 1
     a = k & (POSES - 1)
-    if interpolate == 0 or a == newest or sense.pose_t_ns[a] > t_ns:
+    if interpolate == 0 or a == newest_pose(sense) or sense.pose_t_ns[a] > t_ns:
         for i in range(7):
             out[i] = sense.pose[a * 7 + i]
         return

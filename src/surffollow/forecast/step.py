@@ -4,7 +4,7 @@ import math
 
 from surffollow.forecast import adaptive_step, fold_back, reference_scales, reset, stop
 from surffollow.forecast.paper import extrapolation
-from surffollow.forecast.pose import footprint, pose_at
+from surffollow.forecast.pose import footprint, newest_pose, pose_at
 from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing import latency_identification, sample_hold
 from surffollow.shm import layout_follow as layout
@@ -53,7 +53,7 @@ def find_targets(params, state, output, pose, interpolate):
     sense = state.sense
     fresh, sensor_z = 0, 0.0
     oldest_ns = sense.pose_t_ns[max(0, sense.pose_count - layout.POSES) & (layout.POSES - 1)]
-    newest_ns = sense.pose_t_ns[(sense.pose_count - 1) & (layout.POSES - 1)]
+    newest_ns = sense.pose_t_ns[newest_pose(sense)]
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             continue
@@ -211,12 +211,11 @@ def follow_step(params, state, inputs, output, scratch):
         take_conversions(p, s.sense, i)
     clear_output(p, s, i, o)
     ready = False
-    n = s.sense.pose_count
-    if n == 0:
+    if s.sense.pose_count == 0:
         o.pose_t_ns = 0
         o.status = layout.NO_POSE
     else:
-        o.pose_t_ns = s.sense.pose_t_ns[(n - 1) & (layout.POSES - 1)]
+        o.pose_t_ns = s.sense.pose_t_ns[newest_pose(s.sense)]
         # a pose from a future as far away says as little about now as an old one
         if abs(i.t_ns - o.pose_t_ns) > p.pose_timeout_ns:
             o.status = layout.POSE_STALE

@@ -1,6 +1,7 @@
 """The paper's forecast: slope, extrapolation, hysteresis (§3.2.4), on top of intervals and ranges."""
 
 from surffollow.forecast.paper.intervals import add_point, cut_ranges, range_slope
+from surffollow.forecast.pose import newest_pose
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import POINTS, POSES
 
@@ -95,7 +96,7 @@ def paper_update(params, paper, sense):
 @jit_inlined
 def note_place(paper, sense):
     """Where the newest pose is when a reading counts, and the one before: they tell the heading."""
-    slot, previous = 7 * ((sense.pose_count - 1) & (POSES - 1)), 7 * ((sense.pose_count - 2) & (POSES - 1))
+    slot, previous = 7 * newest_pose(sense), 7 * ((sense.pose_count - 2) & (POSES - 1))
     paper.reading_x_m, paper.reading_y_m = sense.pose[slot], sense.pose[slot + 1]
     paper.before_x_m, paper.before_y_m = paper.reading_x_m, paper.reading_y_m
     if sense.pose_count > 1:
@@ -113,7 +114,7 @@ def distance_since_reading(params, paper, sense, t_ns):
     params, paper, sense : records of `Params`, `PaperState`, `SenseState`
     t_ns : int64  the cycle's time
     """
-    slot = (sense.pose_count - 1) & (POSES - 1)
+    slot = newest_pose(sense)
     dx, dy = sense.pose[7 * slot] - paper.reading_x_m, sense.pose[7 * slot + 1] - paper.reading_y_m
     ux, uy = paper.reading_x_m - paper.before_x_m, paper.reading_y_m - paper.before_y_m
     heading_m = (ux * ux + uy * uy) ** 0.5

@@ -9,11 +9,10 @@ used: there climb rate and terrain are correlated.
 import math
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.pose import pose_at
+from surffollow.forecast.pose import newest_pose, pose_at
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES, USUAL_SAMPLES
 from surffollow.forecast.sensing import clock, kinematics
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_follow import POSES
 
 
 @jit
@@ -93,7 +92,7 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     latency = adaptive.latency
     near = latency.count == 0 or abs(h_m - latency.mean_height_m) <= 8e-3  # else a glitch
     if at_rest and near:
-        newest_ns = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+        newest_ns = sense.pose_t_ns[newest_pose(sense)]
         end_ns = min(t_ns + kinematics.CLIMB_WINDOW_NS // 2, newest_ns)
         pose_at(sense, end_ns - kinematics.CLIMB_WINDOW_NS, 1, pose)
         z = pose[2]

@@ -1,8 +1,7 @@
 """Point of the ground under the tool, and the desired height of the tool above it."""
 
-from surffollow.forecast.pose import rotate
+from surffollow.forecast.pose import newest_pose, rotate
 from surffollow.shm.jit import jit_inlined
-from surffollow.shm.layout_follow import POSES
 
 
 @jit_inlined
@@ -36,7 +35,7 @@ def standoff_height(params, plane, sense, orients):
     params, plane, sense : records of `Params`, `Plane`, `SenseState`
     orients : bool  three or more sensors, and the tool is rotated to the surface normal
     """
-    pose, at = sense.pose, 7 * ((sense.pose_count - 1) & (POSES - 1))
+    pose, at = sense.pose, 7 * newest_pose(sense)
     if not orients:
         _, _, tip_z = axis_ground_point(params, pose, at)
         return -tip_z
