@@ -24,11 +24,9 @@ def average_point(params, paper, sense, channel, pose_t_ns, point):
     channel 0 speed and ΔH begin anew, too: neither spans it.
     """
     if paper.point_losses[channel] != sense.losses[channel]:
-        paper.point_losses[channel] = sense.losses[channel]
-        paper.point_count[channel] = 0
+        paper.point_losses[channel], paper.point_count[channel] = sense.losses[channel], 0
         if channel == 0:
-            paper.speed_pose = 0
-            paper.reading_t_ns = 0
+            paper.speed_pose = paper.reading_t_ns = 0
     n = paper.point_count[channel]
     base = channel * POINTS * 3
     slot = base + (n & (POINTS - 1)) * 3
@@ -77,8 +75,7 @@ def measure_speed(params, paper, sense):
     if paper.speed_pose > 0 and t_ns > paper.speed_t_ns:
         dx, dy = x_m - paper.speed_x_m, y_m - paper.speed_y_m
         paper.speed_mps = (dx * dx + dy * dy) ** 0.5 / ((t_ns - paper.speed_t_ns) * 1e-9)
-    paper.speed_x_m, paper.speed_y_m = x_m, y_m
-    paper.speed_t_ns = t_ns
+    paper.speed_x_m, paper.speed_y_m, paper.speed_t_ns = x_m, y_m, t_ns
     paper.speed_pose = sense.pose_count
 
 
@@ -143,11 +140,10 @@ def paper_forecast(params, paper, t_ns, fresh, range_m, reading_z_m, sensor_z_m,
     -------
     delta_h_m, error_m : float64       their sum is the demand before limits and hysteresis
     """
+    if fresh == 0 and paper.reading_t_ns == 0:
+        return 0.0, 0.0
     first = paper.reading_t_ns == 0 or t_ns - paper.reading_t_ns > params.loss_timeout_ns
-    if fresh == 0:
-        if paper.reading_t_ns == 0:
-            return 0.0, 0.0
-    elif first:
+    if fresh != 0 and first:
         paper.reading_t_ns, paper.reading_m, paper.reading_z_m = t_ns, range_m, reading_z_m
     since_s = (t_ns - paper.reading_t_ns) * 1e-9
     delta_h = paper.slope * paper.speed_mps * since_s
