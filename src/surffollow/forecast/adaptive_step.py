@@ -113,8 +113,7 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
     planned = adaptive.plan.setpoint_m
     if ahead.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
         planned = max(planned, known_ground.lowest_plan(adaptive, target_m))
-    target_m += ahead.share * (planned - target_m)
-    return target_m
+    return target_m + ahead.share * (planned - target_m)
 
 
 @jit_inlined

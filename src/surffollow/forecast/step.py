@@ -78,13 +78,10 @@ def clear_output(params, state, inputs, output):
 
     A reading that is not renewed stays valid until `loss_timeout_ns`.
     """
-    output.t_ns = inputs.t_ns
-    output.cycle = state.cycle
-    output.demand[:] = 0.0
-    output.fresh = 0
-    output.delta_h_m = 0.0
-    output.error_m = 0.0
     sense = state.sense
+    output.t_ns, output.cycle, output.fresh = inputs.t_ns, state.cycle, 0
+    output.demand[:] = 0.0
+    output.delta_h_m = output.error_m = 0.0
     for c in range(layout.CHANNELS):
         age_ns = inputs.t_ns - params.sensor_latency_ns - sense.range_t_ns[c]
         current = sense.valid[c] != 0 and (sense.fresh[c] != 0 or age_ns <= params.loss_timeout_ns)
@@ -243,8 +240,7 @@ def follow_step(params, state, inputs, output, scratch):
 @jit_inlined
 def report_paper(paper, output):
     """Copy the state of the paper mode to the output."""
-    output.slope, output.speed_mps = paper.slope, paper.speed_mps
-    output.reason = 0
+    output.slope, output.speed_mps, output.reason = paper.slope, paper.speed_mps, 0
     output.intervals = paper.interval_count
     if paper.interval_count > 0:
-        output.height_m = paper.interval_h_m[(paper.interval_count - 1) & (paper.interval_h_m.size - 1)]
+        output.height_m = paper.interval_h_m[(paper.interval_count - 1) & (layout.INTERVALS - 1)]

@@ -51,9 +51,8 @@ def can_stop(e_m, v_mps, a_mps2, dt_s, v_max, a_max, jerk):
     v = v_mps + a_mps2 * dt_s
     if a_mps2 > 0.0 and v + 0.5 * a_mps2 * (dt_s + a_mps2 / jerk) > v_max:
         return False
-    if v <= 0.0:
-        return v * dt_s + stopping_distance(0.0, max(a_mps2, 0.0), a_max, jerk) <= e_m
-    return v * dt_s + stopping_distance(v, a_mps2, a_max, jerk) <= e_m
+    towards_mps, a_mps2 = max(v, 0.0), a_mps2 if v > 0.0 else max(a_mps2, 0.0)
+    return v * dt_s + stopping_distance(towards_mps, a_mps2, a_max, jerk) <= e_m
 
 
 @jit_inlined
@@ -164,9 +163,7 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
         setpoint.approaching = 1
         dt = MIN_INTERVAL_S
     longest_s = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
-    if dt <= PAUSE_NS * 1e-9:
-        propagate_setpoint(params, adaptive, target_m, min(dt, longest_s))
-        return
+    dt = min(dt, longest_s) if dt <= PAUSE_NS * 1e-9 else dt
     steps = math.ceil(dt / longest_s)
     for _ in range(steps):
         propagate_setpoint(params, adaptive, target_m, dt / steps)
