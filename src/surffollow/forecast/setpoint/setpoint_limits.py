@@ -12,8 +12,6 @@ import math
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, PAUSE_NS
 from surffollow.shm.jit import jit, jit_inlined
 
-MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small; also that of the first cycle
-
 
 @jit
 def stopping_distance(speed_mps, accel_mps2, a_max_mps2, jerk_mps3):
@@ -123,7 +121,8 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     may_be_slot = gate.step_m < 0.0 and gate.travel_since_step_m < 12.0 * params.step_travel_m
     gentle = e < 0.0 and (setpoint.approaching != 0 or may_be_slot)
     factor = params.toward_factor if gentle else 1.0
-    shortest_s = max(setpoint.min_interval_s, MIN_INTERVAL_S) if setpoint.min_interval_s > 0.0 else dt_s
+    # shorter intervals than 0.5 ms are ignored: their overshoot is small
+    shortest_s = max(setpoint.min_interval_s, 5e-4) if setpoint.min_interval_s > 0.0 else dt_s
     # setpoints much quicker than the axis add effort only; those of a plan are farther ahead of it, so that
     # it responds sooner
     quick = 1.0 + 2.0 * adaptive.preview.share
@@ -161,7 +160,7 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     if pause:
         setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
         setpoint.approaching = 1
-        dt = MIN_INTERVAL_S
+        dt = 5e-4  # as if the cycle before was so long ago
     longest_s = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
     dt = min(dt, longest_s) if dt <= PAUSE_NS * 1e-9 else dt
     steps = math.ceil(dt / longest_s)
