@@ -33,6 +33,12 @@ def rotate(qx, qy, qz, qw, x, y, z):
     return x + 2.0 * (qy * tz - qz * ty), y + 2.0 * (qz * tx - qx * tz), z + 2.0 * (qx * ty - qy * tx)
 
 
+@jit_inlined
+def to_world(pose, at, x, y, z):
+    """The vector (x, y, z) in the frame of the pose at `pose[at:at+7]`, in world axes."""
+    return rotate(pose[at + 3], pose[at + 4], pose[at + 5], pose[at + 6], x, y, z)
+
+
 @jit
 def rotation_between(ax, ay, az, bx, by, bz):
     """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
@@ -171,9 +177,8 @@ def footprint(tool, mounts, channel, range_m):
     x_m, y_m, z_m, sensor_z_m : float64
     """
     m = channel * 7
-    qx, qy, qz, qw = tool[3], tool[4], tool[5], tool[6]
-    bx, by, bz = rotate(mounts[m + 3], mounts[m + 4], mounts[m + 5], mounts[m + 6], 0.0, 0.0, -range_m)
-    sx, sy, sz = rotate(qx, qy, qz, qw, mounts[m], mounts[m + 1], mounts[m + 2])
-    wx, wy, wz = rotate(qx, qy, qz, qw, bx, by, bz)
+    bx, by, bz = to_world(mounts, m, 0.0, 0.0, -range_m)
+    sx, sy, sz = to_world(tool, 0, mounts[m], mounts[m + 1], mounts[m + 2])
+    wx, wy, wz = to_world(tool, 0, bx, by, bz)
     sensor_z = tool[2] + sz
     return tool[0] + sx + wx, tool[1] + sy + wy, sensor_z + wz, sensor_z

@@ -17,9 +17,13 @@ from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.forecast.sensing.response import MOTION_BANDS
 from surffollow.forecast.sensing.standoff import axis_ground_point
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 
-TURNED_SAMPLES = 5  # after so many outside the gate the ground has turned
+
+@jit_inlined
+def is_recent(beams, c, t_ns):
+    """Whether the newest sample of a beam is as new as one at a time."""
+    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS
 
 
 @jit
@@ -121,7 +125,7 @@ def is_blocked(params, adaptive, c):
     """
     beams, n = adaptive.beams, 0
     for k in range(params.n_channels):
-        n += 1 if beams.t_ns[k] != 0 and abs(beams.t_ns[c] - beams.t_ns[k]) <= MISSING_NS else 0
+        n += 1 if is_recent(beams, k, beams.t_ns[c]) else 0
     least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
     changes = beams.changes - beams.run_changes[c]
     # six changes of the two others by turns in a second are no chance
@@ -155,8 +159,8 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
     beams, plane = adaptive.beams, adaptive.plane
     n, repeating = 0, 0
     for c in range(params.n_channels):
-        recent = beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS
-        beams.accepted[c] = 1 if recent and not is_blocked(params, adaptive, c) else 0
+        usable = is_recent(beams, c, t_ns) and not is_blocked(params, adaptive, c)
+        beams.accepted[c] = 1 if usable else 0
         if beams.accepted[c] == 0:
             continue
         dx, dy = beams.footprint_m[3 * c] - x_m, beams.footprint_m[3 * c + 1] - y_m
@@ -193,7 +197,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     n, repeating = collect_heights(params, adaptive, t_ns, x_m, y_m)
     median = 0.5 * (beams.sorted_m[(n - 1) // 2] + beams.sorted_m[n // 2])
     gate = max(params.gate_scales * adaptive.noise.sigma_m, 2.0 * params.gate_m)
-    agree = 0
+    agree, turned = 0, 5  # after so many samples outside the gate the ground has turned
     for k in range(n):
         agree += 1 if abs(beams.sorted_m[k] - median) <= gate else 0
     majority = agree >= 3 and adaptive.plane.rank == 2
@@ -223,8 +227,8 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
             deviates = abs(deviation) > 1.0 and begun and not rises
             beams.deviation[c] = deviation
             count = beams.outside_count[c] + (1 if deviates else -1)
-            beams.outside_count[c] = min(max(count, 0), 2 * TURNED_SAMPLES)
-            unconfirmed = deviates and count <= TURNED_SAMPLES
+            beams.outside_count[c] = min(max(count, 0), 2 * turned)
+            unconfirmed = deviates and count <= turned
             stuck = repeating == 1 and n >= 2 and is_repeating(adaptive, c)
             rejected = stuck or unconfirmed or (majority and count > 0)
         beams.accepted[c] = 0 if rejected else 1
