@@ -6,6 +6,8 @@ demands away from the surface leave, until a move of the tool along z shows the
 reading to move with it (the true branch) beyond the exit distance.
 """
 
+import math
+
 from surffollow.shm.jit import jit_inlined
 
 
@@ -42,8 +44,6 @@ def lead_away(params, demand_m):
 @jit_inlined
 def limit(value, bound):
     """`value` cut to ±`bound`; NaN gives 0."""
-    if value > bound:
-        return bound
-    if value < -bound:
-        return -bound
+    if abs(value) > bound:
+        return math.copysign(bound, value)
     return value if value == value else 0.0

@@ -105,8 +105,7 @@ def report_pose(state, step_ns, t_ns, pose):
     -------
     int64  TAKEN; 0: refused, not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
     """
-    norm2 = pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6]
-    norm = math.sqrt(norm2)
+    norm = math.sqrt(pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6])
     if not (math.isfinite(pose[0] + pose[1] + pose[2]) and abs(norm - 1.0) <= QUATERNION_TOLERANCE):
         return NO_POSE
     if not max(abs(pose[0]), abs(pose[1]), abs(pose[2])) <= MAX_POSITION_M:

@@ -68,8 +68,7 @@ def average_windows(params, sense, least):
         if sense.fresh[c] == 0:
             sense.missed[c] = 1
             continue
-        n = sense.window_n[c]
-        base = c * CONVERSION_WINDOW
+        n, base = sense.window_n[c], c * CONVERSION_WINDOW
         last_ns = sense.window_t_ns[base + ((n - 1) & (CONVERSION_WINDOW - 1))]
         note_spacing(sense, c, last_ns)
         if n < least:

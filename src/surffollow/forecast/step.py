@@ -58,12 +58,9 @@ def find_targets(params, state, output, pose, interpolate):
         if sense.fresh[c] == 0:
             continue
         pose_at(sense, sense.range_t_ns[c], interpolate, pose)
-        pose_t_ns = newest_ns
-        if interpolate != 0:
-            pose_t_ns = min(max(sense.range_t_ns[c], oldest_ns), newest_ns)
+        pose_t_ns = min(max(sense.range_t_ns[c], oldest_ns), newest_ns) if interpolate != 0 else newest_ns
         x, y, z, height = footprint(pose, params.tool_from_sensor, c, sense.range_m[c])
-        if c == 0:
-            sensor_z = height
+        sensor_z = height if c == 0 else sensor_z
         target = output.target_m[3 * c : 3 * c + 3]
         target[0], target[1], target[2] = x, y, z
         extrapolation.average_point(params, state.paper, sense, c, pose_t_ns, target)
@@ -209,8 +206,7 @@ def follow_step(params, state, inputs, output, scratch):
     clear_output(p, s, i, o)
     ready = False
     if s.sense.pose_count == 0:
-        o.pose_t_ns = 0
-        o.status = layout.NO_POSE
+        o.pose_t_ns, o.status = 0, layout.NO_POSE
     else:
         o.pose_t_ns = s.sense.pose_t_ns[newest_pose(s.sense)]
         # a pose from a future as far away says as little about now as an old one
@@ -226,14 +222,14 @@ def follow_step(params, state, inputs, output, scratch):
             o.status = demand_z(p, s, i, o, sensor_z, scratch)
     if p.mode == layout.MODE_ADAPTIVE:
         o.status |= scaled_adaptive_cycle(params, state, inputs, output, scratch, ready)
+    else:
+        report_paper(s.paper, o)
     if p.run == layout.RUN_DRYRUN:
         o.status = (o.status & ~layout.VALID) | layout.DRYRUN
     elif p.run == layout.RUN_FREEZE:
         o.status = (o.status & ~layout.VALID) | layout.FROZEN
         o.demand[:] = 0.0
     s.cycle += 1
-    if p.mode != layout.MODE_ADAPTIVE:
-        report_paper(s.paper, o)
     stop.apply_stop(p, s, o)
 
 

@@ -112,12 +112,6 @@ def observe_rotation(params, adaptive, t_ns, pose):
 
 
 @jit
-def has_failed(rotation):
-    """Whether the deviation did not follow a test, and has not changed since."""
-    return rotation.phase == ROTATION_FAILED
-
-
-@jit
 def tested_direction(rotation, nx, ny, nz):
     """Direction for the tool's axis: the normal, or that of the test.
 

@@ -1,6 +1,5 @@
 """Health of the ranging: drop-outs, health states with hysteresis, latched faults."""
 
-from surffollow.forecast.attitude.rotation_response import has_failed
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
     LONG_GAP_NS,
@@ -15,6 +14,7 @@ from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.forecast.sensing.unseen_ground import uncertain_clearance
 from surffollow.shm import layout_adaptive as layout
 from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
@@ -133,7 +133,7 @@ def present_health(params, adaptive, silent):
         reason = layout.REASON_POSE_JUMP
     elif adaptive.beams.inconsistent != 0:
         reason = layout.REASON_SENSORS
-    elif has_failed(adaptive.rotation):
+    elif adaptive.rotation.phase == ROTATION_FAILED:
         reason = layout.REASON_ROTATION
     elif silent != 0:
         reason = layout.REASON_SILENT | silent_bits

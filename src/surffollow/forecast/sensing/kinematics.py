@@ -102,9 +102,8 @@ def update_kinematics(params, kinematics, sense):
     if sense.pose_t_ns[newest_pose(sense)] == jump:
         return jumped  # the velocity is that before the jump
     first = oldest_pose_within(sense, PAUSE_NS, jump)
-    vx, vy, _, _ = velocity_between(sense, first, last)
-    kinematics.velocity_x_mps, kinematics.velocity_y_mps = vx, vy
-    kinematics.speed_mps = math.sqrt(vx**2 + vy**2)
+    kinematics.velocity_x_mps, kinematics.velocity_y_mps, _, _ = velocity_between(sense, first, last)
+    kinematics.speed_mps = math.sqrt(kinematics.velocity_x_mps**2 + kinematics.velocity_y_mps**2)
     near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump)
     _, _, kinematics.climb_mps, _ = velocity_between(sense, near, last)
     return jumped
