@@ -59,7 +59,7 @@ EXCURSIONS, EXCURSION_SEEDS = ("slot", "glitch"), 15
 VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "full": [],
     "powers without sharpness": [("model_weights", "(s * s * alpha * alpha)", "1.0")],
-    "chance penalty": [("model_weights", "s * s * CHANCE_PENALTY[i]", "0.0")],
+    "chance penalty": [("model_weights", "s * s * chance", "0.0")],
     "part of the lead left out": [("setpoint_lead", "lead.left_out[i] = 1.0", "lead.left_out[i] = 0.0")],
     "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "effort power": [

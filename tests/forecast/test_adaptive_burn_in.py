@@ -21,7 +21,7 @@ from surffollow.forecast.sensing.kinematics import update_kinematics
 from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, filter_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS, N_PERIODS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, N_PERIODS, WAVES
 from surffollow.shm.layout_follow import FollowState
 
 from .feeding import MS, default_params, feed
@@ -171,7 +171,7 @@ def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
 def test_a_model_leads_less_by_the_part_that_it_leaves_out():
     """Its axes keep the whole lead and none: from them the part is learned."""
     a = evaluated(EARLY_SAMPLES, FULL_POWER_SAMPLES)
-    slopes = np.arange(N_MODELS) < N_LEADS
+    slopes = np.arange(N_MODELS) < WAVES
     a["bank"]["slope"] = 0.2
     a["bank"]["wave_number"] = SCALE
     a["lead"]["left_out"][slopes] = 0.25

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
 SLOPE, CURVE, WAVE = 0, 1, 2
 BAND = 2.0**0.25  # a wave number stays within this factor: waves are half an octave apart
@@ -33,8 +33,8 @@ BANK: Any = np.array(
     + [(WAVE, 2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in 0.6 * BAND ** (-2.0 * np.arange(8))]
 )
 KIND = BANK[:, 0].astype(np.int64)
-N_SLOPES, WAVES = np.searchsorted(KIND, (CURVE, WAVE)).tolist()  # curves are between
-assert (len(BANK), WAVES) == (N_MODELS, N_LEADS)
+N_SLOPES = int(np.searchsorted(KIND, CURVE))  # curves are from there to the waves
+assert (len(BANK), np.searchsorted(KIND, WAVE)) == (N_MODELS, WAVES)
 SCALE = BANK[:, 1].copy()  # length of decay [m]; of a wave the middle of its band [1/m]
 DECAY = np.where(KIND == SLOPE, 1.0 / SCALE, 0.0)  # 1/λ [1/m]
 # spectral densities of height, slope, curvature over arc length; a wave's amplitude has noise of its slope

@@ -7,16 +7,11 @@ subtracted, and penalties for effort and chance are added.
 
 import math
 
-import numpy as np
-
 from surffollow.forecast.estimation import model_bank, setpoint_lead
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
-
-# per kind of model: a wave fits part of any noise for a while, a curve a smaller part
-CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[model_bank.KIND]
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
 
 @jit_inlined
@@ -49,7 +44,7 @@ def update_index(params, adaptive, travel_m, dt_s, target_m):
     g = max(1.0 - math.exp(-rate / params.long_factor), burn_in_rate)
     position_m, left_out = adaptive.shadow.position_m, adaptive.lead.left_out
     for i in range(N_MODELS):
-        without_lead_m = position_m[N_MODELS + i] if i < N_LEADS else position_m[i]
+        without_lead_m = position_m[N_MODELS + i] if i < WAVES else position_m[i]
         e = position_m[i] - left_out[i] * (position_m[i] - without_lead_m) - target_m
         weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
@@ -91,9 +86,11 @@ def compute_costs(params, adaptive):
     for i in range(N_MODELS):
         c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
-        c += p_e * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
+        # a wave fits part of any noise for a while, a curve a smaller part
+        chance = 8.0 if i >= WAVES else 1.0 if i >= model_bank.N_SLOPES else 0.0
+        c += p_e * shadow.log_effort[i] + s * s * chance
         # phase of a wave between two samples: from π on it is an alias of a longer one
-        is_alias = i >= model_bank.WAVES and model_bank.SCALE[i] * spacing_m > 2.0 * math.pi / 3.0
+        is_alias = i >= WAVES and model_bank.SCALE[i] * spacing_m > 2.0 * math.pi / 3.0
         weights.cost[i] = math.inf if is_alias else c
 
 

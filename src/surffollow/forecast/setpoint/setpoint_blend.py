@@ -10,7 +10,7 @@ from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
 
 @jit
@@ -58,7 +58,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         growth = bank.slope_ahead[i] + (1.0 - left_out) * lead_m * bank.bend_ahead[i]
         growth = sign * math.copysign(max_slope, change) if abs(change) > margin else growth
         change, rise = min(max(change, -margin), margin), min(max(rise, -margin), margin)
-        fall = 1.0 - level_share if i < model_bank.WAVES else 1.0
+        fall = 1.0 - level_share if i < WAVES else 1.0
         growth *= fall if change < 0.0 else 1.0
         change *= fall if change < 0.0 else 1.0
         rise *= fall if rise < 0.0 else 1.0
@@ -66,7 +66,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         blend.model_m[i] = h + change - left_out * (change - rise)
         blend.model_slope[i] = growth
         blend.axis_m[i] = h + change
-        if i < N_LEADS:
+        if i < WAVES:
             blend.axis_m[N_MODELS + i] = h + rise
     # behind the loop above, which vectorises
     return model_weights.blended(adaptive, blend.model_m), model_weights.blended(adaptive, blend.model_slope)
