@@ -126,24 +126,19 @@ def present_health(params, adaptive, silent):
         return layout.DROPOUT, layout.REASON_NO_READING | silent_bits
     if is_lost(params, adaptive):
         return layout.DROPOUT, layout.REASON_LOST | silent_bits
-    reason = layout.REASON_NONE
-    if adaptive.hold.shift_ns > 0:
-        reason = layout.REASON_TIMESTAMPS
-    elif has_jumped(adaptive.kinematics, adaptive.clock.now_ns):
-        reason = layout.REASON_POSE_JUMP
-    elif adaptive.beams.inconsistent != 0:
-        reason = layout.REASON_SENSORS
-    elif adaptive.rotation.phase == ROTATION_FAILED:
-        reason = layout.REASON_ROTATION
-    elif silent != 0:
-        reason = layout.REASON_SILENT | silent_bits
-    elif is_late(params, adaptive):
-        reason = layout.REASON_LATE
-    elif adaptive.response.unused != 0:
-        reason = layout.REASON_REPEATED
-    elif adaptive.gate.pending > 0:
-        reason = layout.REASON_PENDING
-    return layout.OK if reason == layout.REASON_NONE else layout.SUSPECT, reason
+    for found, reason in (
+        (adaptive.hold.shift_ns > 0, layout.REASON_TIMESTAMPS),
+        (has_jumped(adaptive.kinematics, adaptive.clock.now_ns), layout.REASON_POSE_JUMP),
+        (adaptive.beams.inconsistent != 0, layout.REASON_SENSORS),
+        (adaptive.rotation.phase == ROTATION_FAILED, layout.REASON_ROTATION),
+        (silent != 0, layout.REASON_SILENT | silent_bits),
+        (is_late(params, adaptive), layout.REASON_LATE),
+        (adaptive.response.unused != 0, layout.REASON_REPEATED),
+        (adaptive.gate.pending > 0, layout.REASON_PENDING),
+    ):
+        if found:
+            return layout.SUSPECT, reason
+    return layout.OK, layout.REASON_NONE
 
 
 @jit_inlined
