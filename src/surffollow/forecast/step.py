@@ -96,26 +96,23 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
     reading_z_m : float64  height of the sensor in the pose of a fresh reading [m]
     pose : (7,) float64    scratch
     """
-    p, t_ns, range_m, fresh = state.paper, inputs.t_ns, state.sense.range_m[0], output.fresh & 1
+    p, t_ns, fresh = state.paper, inputs.t_ns, output.fresh & 1
     sensor_z_m, farthest_m = reading_z_m, math.inf
     if fresh != 0:
         extrapolation.paper_update(params, p, state.sense)
-        fold_back.watch_fold_back(params, state.fold, range_m, reading_z_m)
+        fold_back.watch_fold_back(params, state.fold, state.sense.range_m[0], reading_z_m)
     else:
         farthest_m = extrapolation.distance_since_reading(params, p, state.sense, t_ns)
     if fresh == 0 or params.pose_interpolate != 0:
         pose_at(state.sense, t_ns, 0, pose)
         _, _, _, sensor_z_m = footprint(pose, params.tool_from_sensor, 0, 0.0)
-    delta_h, error = extrapolation.paper_forecast(
-        params, p, t_ns, fresh, range_m, reading_z_m, sensor_z_m, farthest_m
+    output.delta_h_m, output.error_m = extrapolation.paper_forecast(
+        params, p, state.sense, t_ns, fresh, reading_z_m, sensor_z_m, farthest_m
     )
-    if fresh != 0:
-        extrapolation.note_place(p, state.sense)
-    output.delta_h_m, output.error_m = delta_h, error
     status = layout.VALID
     if fresh == 0 and (state.sense.valid[0] == 0 or is_absent(params, t_ns - p.reading_t_ns)):
         status |= layout.NO_SENSOR
-    demand_m = delta_h + error
+    demand_m = output.delta_h_m + output.error_m
     limited_m = fold_back.limit(demand_m, params.max_demand_m)
     if limited_m != demand_m:
         status |= layout.LIMITED
@@ -128,8 +125,7 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
         dz = 0.0
     if state.fold.close != 0:
         status |= layout.TOO_CLOSE
-        if not lost:
-            dz = fold_back.lead_away(params, dz)
+        dz = 0.0 if lost else fold_back.lead_away(params, dz)
     output.demand[2] = dz
     return status
 

@@ -27,8 +27,7 @@ def average_point(params, paper, sense, channel, pose_t_ns, point):
         paper.point_losses[channel], paper.point_count[channel] = sense.losses[channel], 0
         if channel == 0:
             paper.speed_pose = paper.reading_t_ns = 0
-    n = paper.point_count[channel]
-    base = channel * POINTS * 3
+    n, base = paper.point_count[channel], channel * POINTS * 3
     slot = base + (n & (POINTS - 1)) * 3
     for i in range(3):
         paper.point_m[slot + i] = point[i]
@@ -120,7 +119,7 @@ def distance_since_reading(params, paper, sense, t_ns):
 
 
 @jit_inlined
-def paper_forecast(params, paper, t_ns, fresh, range_m, reading_z_m, sensor_z_m, max_distance_m):
+def paper_forecast(params, paper, sense, t_ns, fresh, reading_z_m, sensor_z_m, max_distance_m):
     """ΔH since the previous reading, and desired minus previous actual stand-off.
 
     The previous stand-off is carried on by the tool's own vertical motion since. A fresh reading becomes
@@ -129,17 +128,17 @@ def paper_forecast(params, paper, t_ns, fresh, range_m, reading_z_m, sensor_z_m,
 
     Parameters
     ----------
-    params, paper : records of `Params`, `PaperState` (updated)
+    params, paper, sense : records of `Params`, `PaperState` (updated), `SenseState`
     t_ns : int64                       the cycle's time
-    fresh : int                        1: `range_m` is a new reading of channel 0
-    range_m, reading_z_m : float64     that reading, and the sensor's height in the pose it was made with
-    sensor_z_m : float64               the sensor's height in the newest pose [m]
+    fresh : int                        1: channel 0 has a new reading
+    reading_z_m, sensor_z_m : float64  the sensor's height in the pose of that, and in the newest pose [m]
     max_distance_m : float64           the tool has gone no farther since the previous reading; inf: not known
 
     Returns
     -------
     delta_h_m, error_m : float64       their sum is the demand before limits and hysteresis
     """
+    range_m = sense.range_m[0]
     if fresh == 0 and paper.reading_t_ns == 0:
         return 0.0, 0.0
     first = paper.reading_t_ns == 0 or t_ns - paper.reading_t_ns > params.loss_timeout_ns
@@ -152,6 +151,7 @@ def paper_forecast(params, paper, t_ns, fresh, range_m, reading_z_m, sensor_z_m,
     error = params.offset_m - (paper.reading_m + (sensor_z_m - paper.reading_z_m))
     if fresh != 0:
         paper.reading_t_ns, paper.reading_m, paper.reading_z_m = t_ns, range_m, reading_z_m
+        note_place(paper, sense)
     return delta_h, error
 
 
