@@ -1,12 +1,6 @@
 """Health of the ranging: drop-outs, health states with hysteresis, latched faults."""
 
-from surffollow.forecast.quantities import (
-    CONFIRMATION_SAMPLES,
-    LONG_GAP_NS,
-    MAX_GAP_NS,
-    PAUSE_NS,
-    USUAL_SAMPLES,
-)
+from surffollow.forecast import quantities
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
@@ -24,13 +18,13 @@ DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual 
 @jit
 def dropout_tolerance_s(prediction):
     """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
-    return min(DROPOUT_INTERVALS * prediction.interval_s, LONG_GAP_NS * 1e-9)
+    return min(DROPOUT_INTERVALS * prediction.interval_s, quantities.LONG_GAP_NS * 1e-9)
 
 
 @jit
 def is_missing(adaptive, since_ns):
     """Whether a sample after this time is missing, beyond the usual delay and tolerance."""
-    tolerance_ns = max(MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
+    tolerance_ns = max(quantities.MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
     return adaptive.clock.now_ns - since_ns > adaptive.latency.delay_s * 1e9 + tolerance_ns
 
 
@@ -71,7 +65,7 @@ def observe_channels(params, health, sense, now_ns):
             continue
         gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
         if usual_ns != 0:
-            health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // USUAL_SAMPLES
+            health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // quantities.USUAL_SAMPLES
         elif health.reading_ns[c] != 0:
             health.interval_ns[c] = gap_ns
         health.reading_ns[c] = now_ns
@@ -86,8 +80,8 @@ def silent_channels(params, health, now_ns):
     silent = 0
     if params.n_channels > 1:
         for c in range(params.n_channels):
-            tolerance_ns = min(DROPOUT_INTERVALS * health.interval_ns[c], LONG_GAP_NS)
-            if now_ns - health.reading_ns[c] > max(MAX_GAP_NS, tolerance_ns):
+            tolerance_ns = min(DROPOUT_INTERVALS * health.interval_ns[c], quantities.LONG_GAP_NS)
+            if now_ns - health.reading_ns[c] > max(quantities.MAX_GAP_NS, tolerance_ns):
                 silent |= 1 << c
     return silent
 
@@ -116,7 +110,7 @@ def present_health(params, adaptive, silent):
     """
     samples = adaptive.estimate.samples
     silent_bits = silent << layout.REASON_CHANNELS
-    if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < USUAL_SAMPLES:
+    if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < quantities.USUAL_SAMPLES:
         return layout.FAULT, layout.REASON_NOT_FINITE
     if is_stuck(adaptive):
         return layout.STUCK, layout.REASON_STUCK
@@ -149,7 +143,7 @@ def update_health(params, adaptive, sense):
     state, reason = present_health(params, adaptive, silent_channels(params, health, now_ns))
     if state != health.candidate:
         health.candidate, health.since_ns = state, now_ns
-    wait_ns = ENTER_NS if state > health.state else PAUSE_NS
+    wait_ns = ENTER_NS if state > health.state else quantities.PAUSE_NS
     if health.state < layout.DROPOUT and is_lost(params, adaptive):
         wait_ns = 0  # there is no demand: the reason is published at once
     if state == health.state or now_ns - health.since_ns >= wait_ns:
@@ -160,7 +154,7 @@ def update_health(params, adaptive, sense):
 def count_close(health, close):
     """Count samples in a row near the fold-back; whether they are enough to confirm it."""
     health.close_count = health.close_count + 1 if close else 0
-    return health.close_count >= CONFIRMATION_SAMPLES
+    return health.close_count >= quantities.CONFIRMATION_SAMPLES
 
 
 @jit
