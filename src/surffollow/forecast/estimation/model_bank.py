@@ -34,7 +34,7 @@ BANK: Any = np.array(
 )
 KIND = BANK[:, 0].astype(np.int64)
 N_SLOPES = int(np.searchsorted(KIND, CURVE))  # curves are from there to the waves
-assert (len(BANK), np.searchsorted(KIND, WAVE)) == (N_MODELS, WAVES)
+assert (len(BANK), int(np.searchsorted(KIND, WAVE))) == (N_MODELS, WAVES)
 SCALE = BANK[:, 1].copy()  # length of decay [m]; of a wave the middle of its band [1/m]
 DECAY = np.where(KIND == SLOPE, 1.0 / SCALE, 0.0)  # 1/λ [1/m]
 # spectral densities of height, slope, curvature over arc length; a wave's amplitude has noise of its slope
