@@ -42,10 +42,8 @@ def fit_plane(beams, weights, n_channels, curvature, sigma_m):
     total, mx, my, mh = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w = weights[c]
-        total += w
-        mx += w * beams.footprint_m[3 * c]
-        my += w * beams.footprint_m[3 * c + 1]
-        mh += w * flat_height(beams, curvature, c)
+        mx, my = mx + w * beams.footprint_m[3 * c], my + w * beams.footprint_m[3 * c + 1]
+        total, mh = total + w, mh + w * flat_height(beams, curvature, c)
     mx, my, mh = mx / total, my / total, mh / total
     xx, xy, yy, xh, yh, hh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):

@@ -34,8 +34,7 @@ def mean_range(beams, n_channels, t_ns, range_m):
     total, n = 0.0, 0
     for c in range(n_channels):
         if is_recent(beams, c, t_ns):
-            total += beams.range_m[c]
-            n += 1
+            total, n = total + beams.range_m[c], n + 1
     return total / n if n > 0 else range_m
 
 

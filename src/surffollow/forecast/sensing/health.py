@@ -108,8 +108,7 @@ def present_health(params, adaptive, silent):
     -------
     int, int  numbers of HEALTH_NAMES and REASON_NAMES
     """
-    samples = adaptive.estimate.samples
-    silent_bits = silent << layout.REASON_CHANNELS
+    samples, silent_bits = adaptive.estimate.samples, silent << layout.REASON_CHANNELS
     if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < quantities.USUAL_SAMPLES:
         return layout.FAULT, layout.REASON_NOT_FINITE
     if is_stuck(adaptive):

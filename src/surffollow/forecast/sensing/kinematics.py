@@ -21,8 +21,7 @@ def oldest_pose_within(sense, window_ns, first_ns):
     Reports from before a long gap, or before the time `first_ns`, do not count; the newest one may be
     the only one.
     """
-    k = sense.pose_count - 1
-    oldest = max(0, k - POSES + 1)
+    k, oldest = sense.pose_count - 1, max(0, sense.pose_count - POSES)
     t = sense.pose_t_ns[newest_pose(sense)]
     while k > oldest:
         at_ns = sense.pose_t_ns[k & (POSES - 1)]
