@@ -22,7 +22,7 @@ from surffollow.shm.jit import jit, jit_inlined
 
 @jit_inlined
 def is_recent(beams, c, t_ns):
-    """Whether the newest sample of a beam is as new as one at a time."""
+    """Whether a beam has a sample as new as one with this timestamp."""
     return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS
 
 

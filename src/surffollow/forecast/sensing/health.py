@@ -51,7 +51,7 @@ def is_lost(params, adaptive):
     estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
     if estimate.samples == 0 or (stuck and silent):
         return True
-    # no demand is valid when more than this of the stand-off may be lost unseen
+    # no demand is valid when more than this share of the stand-off may be lost unseen
     if (stuck or silent) and uncertain_clearance(adaptive) > 0.35 * params.offset_m:
         return True
     return adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns

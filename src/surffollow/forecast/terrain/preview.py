@@ -107,13 +107,13 @@ def update_share(adaptive, known, plant_m2):
     plant_m2 : float64  squared error of the best axis model [m²]
     """
     # ground that is known from channel 0: an uncertain plan is better than none
-    preview, leads = adaptive.preview, terrain_buffer.sensor_leads(adaptive)
+    preview, leads, enough = adaptive.preview, terrain_buffer.sensor_leads(adaptive), known >= 7
     trusted = leads or adaptive.clock.now_ns >= preview.suspended_until_ns
-    usable = known >= 7 and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
+    usable = enough and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
     preview.share += 0.15 if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0
-    return known >= 7
+    return enough
 
 
 @jit
