@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, field
 
 from surffollow.forecast.sensing import response as r
-from surffollow.forecast.setpoint.tested_setpoint import UNSEEN_RISE
 
 RUN, HOLD, LIFT, NONE = "run", "hold", "lift", "none"
 
@@ -172,7 +171,7 @@ class NaiveResponse:
         """The target, shifted up in a long run or in the test of an ascent, or what a test asks for."""
         if self.phase == RUN:
             return target_m + self.lift_m
-        rise_m = max(min(UNSEEN_RISE * self.standoff_m, self.far_m - self.standoff_m), self.lift_m)
+        rise_m = max(min(3.0 * self.standoff_m, self.far_m - self.standoff_m), self.lift_m)
         highest_m = self.begin_z_m + rise_m
         if self.phase == NONE:
             return min(target_m, highest_m) if self.rose else target_m

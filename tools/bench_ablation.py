@@ -59,14 +59,14 @@ EXCURSIONS, EXCURSION_SEEDS = ("slot", "glitch"), 15
 VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "full": [],
     "powers without sharpness": [("model_weights", "(s * s * alpha * alpha)", "1.0")],
-    "chance penalty": [("model_weights", "s * s * CHANCE_PENALTY[i]", "0.0")],
+    "chance penalty": [("model_weights", "s * s * chance", "0.0")],
     "part of the lead left out": [("setpoint_lead", "lead.left_out[i] = 1.0", "lead.left_out[i] = 0.0")],
     "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
     "effort power": [
         (
             "model_weights",
-            "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0",
-            "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.0, 0.0",
+            "p_e = 0.8 * ((1.0 - s) * (1.0 - s)) + 6.0",
+            "p_e = 0.0 * ((1.0 - s) * (1.0 - s)) + 0.0",
         )
     ],
     "second sample in the gate": [
@@ -79,7 +79,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "likelihood of slots": [
         ("innovation_gate", "max(0.3 * gate.slot_likelihood", "max(1.0 * gate.slot_likelihood")
     ],
-    "settling after a start or a loss": [("estimate", "SETTLING_NS = 60_000_000", "SETTLING_NS = 0")],
+    "settling after a start or a loss": [("estimate", "t_ns + 60_000_000", "t_ns + 0")],
     "clamp of the slope": [("setpoint_blend", "3.0 * math.sqrt(estimate", "1e6 * math.sqrt(estimate")],
     "step taken back in a loss": [
         (
@@ -145,8 +145,8 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "effort power on rough ground": [
         (
             "model_weights",
-            "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8",
-            "ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.0",
+            "p_e = 0.8",
+            "p_e = 0.0",
         )
     ],
     "more samples in a burst": [("innovation_gate", "int(0.25 * tau_s", "int(0.0 * tau_s")],

@@ -18,15 +18,10 @@ from surffollow.forecast.estimation.model_weights import update_weights
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.forecast.sensing.kinematics import update_kinematics
-from surffollow.forecast.setpoint.setpoint_blend import (
-    DEADBAND_DECAY_S,
-    DEADBAND_SOFTNESS,
-    blend_setpoints,
-    filter_setpoint,
-)
+from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, filter_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS, N_PERIODS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, N_PERIODS, WAVES
 from surffollow.shm.layout_follow import FollowState
 
 from .feeding import MS, default_params, feed
@@ -54,7 +49,7 @@ def filtered_in_small_steps(desired_m, seconds, steps=200_000):
     """The setpoint's equation, in steps far smaller than any cycle."""
     excess = desired_m - BAND
     for _ in range(steps):
-        excess -= excess * excess / (DEADBAND_SOFTNESS * BAND * DEADBAND_DECAY_S) * seconds / steps
+        excess -= excess * excess / (2.5 * BAND * 0.01) * seconds / steps
     return desired_m - BAND - excess
 
 
@@ -72,8 +67,8 @@ def test_within_the_deadband_the_setpoint_continues_at_the_predicted_rate():
 
 
 def test_a_large_excess_decays_at_once_and_after_a_pause_the_filter_begins_at_the_blend():
-    assert filtered(deadband_state(), 0.01, 1, 10 * MS) > 0.01 - (1.0 + DEADBAND_SOFTNESS) * BAND
-    assert filtered(deadband_state(), -0.01, 1, 10 * MS) < -0.01 + (1.0 + DEADBAND_SOFTNESS) * BAND
+    assert filtered(deadband_state(), 0.01, 1, 10 * MS) > 0.01 - 3.5 * BAND
+    assert filtered(deadband_state(), -0.01, 1, 10 * MS) < -0.01 + 3.5 * BAND
     assert filtered(deadband_state(), 0.01, 1, 150 * MS) == 0.01
 
 
@@ -176,7 +171,7 @@ def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
 def test_a_model_leads_less_by_the_part_that_it_leaves_out():
     """Its axes keep the whole lead and none: from them the part is learned."""
     a = evaluated(EARLY_SAMPLES, FULL_POWER_SAMPLES)
-    slopes = np.arange(N_MODELS) < N_LEADS
+    slopes = np.arange(N_MODELS) < WAVES
     a["bank"]["slope"] = 0.2
     a["bank"]["wave_number"] = SCALE
     a["lead"]["left_out"][slopes] = 0.25

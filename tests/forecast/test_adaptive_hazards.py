@@ -23,11 +23,7 @@ from surffollow.benchmark.hazard_scenarios import (
 from surffollow.benchmark.hazards import PLoop, play, shortfall_m
 from surffollow.forecast.attitude.beam_detection import is_bent
 from surffollow.forecast.quantities import SLOW_RATE
-from surffollow.forecast.terrain.known_ground import (
-    DROP_LENGTH_M,
-    compare_known_ground,
-    lowest_plan,
-)
+from surffollow.forecast.terrain.known_ground import compare_known_ground, lowest_plan
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import FollowState, Inputs
 
@@ -411,7 +407,7 @@ def test_known_ground_is_compared_as_its_naive_twin_does(seed):
         run = 0 if agrees else run + 1
         assert wrong == (run >= 2), k
         # the greatest of all heights so far, each faded toward those after it
-        fading = 4e-4 / DROP_LENGTH_M
+        fading = 4e-4 / 0.01
         peak = h if k == 0 else max(h, peak + fading * (h - peak))
         if wrong:
             drops = 0.0
@@ -424,4 +420,4 @@ def test_known_ground_is_compared_as_its_naive_twin_does(seed):
             assert lowest_plan(a, 1.0) == pytest.approx(lowest_m, abs=1e-12)
         assert a["known"]["bias_m"] == pytest.approx(bias, abs=1e-12)
         if wrong:
-            assert a["known"]["trusted_from_m"] == pytest.approx(DROP_LENGTH_M)
+            assert a["known"]["trusted_from_m"] == pytest.approx(0.01)

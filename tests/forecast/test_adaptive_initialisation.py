@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from surffollow.follower import Follower
-from surffollow.forecast.estimation.estimate import SETTLING_NS, update_estimate
-from surffollow.forecast.setpoint.setpoint_limits import ACCELERATION_RATIO, VELOCITY_RATIO, limit_setpoint
+from surffollow.forecast.estimation.estimate import update_estimate
+from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 
@@ -35,8 +35,7 @@ def test_on_a_slope_the_second_sample_does_not_restart_the_estimate():
 
 
 def test_no_model_is_scored_during_the_settling_time_after_a_start_or_a_loss():
-    assert SETTLING_NS == 60 * MS
-    samples = 15  # one every 4 ms
+    samples = 15  # one every 4 ms: 60 ms
     a, _ = feed(np.zeros(samples + 1))
     assert a["weights"]["scored"] == 0
     a, _ = feed(np.zeros(samples + 4))
@@ -202,10 +201,10 @@ def test_the_limits_are_those_that_the_axis_can_use():
         limit_setpoint(params, a, t_ns, 0.05, heights[0])
         heights.append(a["setpoint"]["position_m"])
     rate = np.diff(heights) * 1e3
-    limit = VELOCITY_RATIO * params["plant_v_max_mps"]
+    limit = 2.0 * params["plant_v_max_mps"]
     assert 0.5 * limit < rate.max() <= limit * (1 + 1e-9)
     accel = np.diff(rate) * 1e3
-    assert np.abs(accel[1:]).max() <= ACCELERATION_RATIO * params["plant_a_max_mps2"] * (1 + 1e-6)
+    assert np.abs(accel[1:]).max() <= 20.0 * params["plant_a_max_mps2"] * (1 + 1e-6)
     assert heights[-1] == pytest.approx(0.05, abs=1e-6)
 
 

@@ -16,7 +16,7 @@ from surffollow.forecast.estimation.model_bank import (
     WAVES,
     extrapolate_bank,
 )
-from surffollow.forecast.setpoint.setpoint_blend import HEIGHT_MARGIN_M, blend_setpoints, compute_setpoints
+from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, compute_setpoints
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.sim.profiles_measured import from_points
@@ -40,7 +40,7 @@ def test_a_model_asks_for_no_more_than_the_steepest_ground_allows(
     slope: float, ahead_m: float, steepest: float
 ) -> None:
     a, lead_m = planes(slope), 0.008
-    most = HEIGHT_MARGIN_M + steepest * (abs(ahead_m) + lead_m)
+    most = 1e-3 + steepest * (abs(ahead_m) + lead_m)
     compute_setpoints(a, ahead_m, lead_m, steepest, 0.1)
     got = a["blend"]["model_m"] - 2.1
     extrapolate_bank(a["bank"], ahead_m)

@@ -11,7 +11,6 @@ from surffollow.follower import Follower
 from surffollow.forecast.estimation.estimate import update_estimate
 from surffollow.forecast.estimation.model_bank import BANK, N_MODELS, SLOPE
 from surffollow.forecast.pose import push_pose
-from surffollow.forecast.sensing import range_prediction
 from surffollow.forecast.sensing.range_prediction import predict_range, return_gain, update_prediction
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.forecast.step import follow_step
@@ -248,8 +247,8 @@ def naive_predictions(t_s, ranges_m, horizon_s, most=1.0):
     products, gain = np.zeros(2), 0.0
 
     def parts(h):
-        w = range_prediction.DECAY * unit * (1.0 - math.exp(-h / (range_prediction.DECAY * unit)))
-        share = 1.0 - math.exp(-(h - w) / (range_prediction.RETURN * unit))
+        w = 10.0 * unit * (1.0 - math.exp(-h / (10.0 * unit)))
+        share = 1.0 - math.exp(-(h - w) / (30.0 * unit))
         return np.array([level + trend * w, share * (mean - level)])
 
     for k in range(1, len(t_s)):
@@ -261,20 +260,20 @@ def naive_predictions(t_s, ranges_m, horizon_s, most=1.0):
             return 1.0 - math.exp(-duration_s / (intervals * unit))
 
         expected = parts(dt) @ (1.0, gain)
-        new = expected + weight(dt, range_prediction.LEVEL) * (ranges_m[k] - expected)
-        back = gain * (mean - level) / (range_prediction.RETURN * unit)
-        trend += weight(dt, range_prediction.DECAY) * (back - trend)
-        trend += weight(dt, range_prediction.TREND) * ((new - level) / dt - trend)
+        new = expected + weight(dt, 0.36) * (ranges_m[k] - expected)
+        back = gain * (mean - level) / (30.0 * unit)
+        trend += weight(dt, 10.0) * (back - trend)
+        trend += weight(dt, 2.4) * ((new - level) / dt - trend)
         level = new
-        mean_s = min(mean_s + dt, range_prediction.MEAN * unit)
+        mean_s = min(mean_s + dt, 1000.0 * unit)
         mean += (1.0 - math.exp(-dt / mean_s)) * (level - mean)
-        if check is None or t_s[k] - check[0] >= range_prediction.CHECK * unit:
+        if check is None or t_s[k] - check[0] >= 15.0 * unit:
             if check is not None:
                 missed, back_m = level - check[1], check[2]
-                share = weight(t_s[k] - check[0], range_prediction.MEAN)
+                share = weight(t_s[k] - check[0], 1000.0)
                 products += share * (np.array([missed * back_m, back_m**2]) - products)
                 gain = float(np.clip(products[0] / products[1], 0.0, most))
-            check = t_s[k], *parts(range_prediction.CHECK * unit)
+            check = t_s[k], *parts(15.0 * unit)
         made.append(parts(horizon_s) @ (1.0, gain))
     return np.array(made), gain
 

@@ -7,7 +7,7 @@ import pytest
 from surffollow.forecast.estimation.innovation_gate import hold_pending
 from surffollow.forecast.plant.controller_clock import mean_wait_s, observe_latch
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES
-from surffollow.forecast.setpoint.setpoint_limits import SLOT_GROUP_LENGTHS, limit_setpoint
+from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import Inputs
@@ -64,7 +64,7 @@ def descent_after_50_ms(step_m: float, travel_m: float, arrived: bool = True) ->
 
 def test_the_setpoint_descends_slower_just_behind_a_fall_because_it_may_be_a_slot() -> None:
     """GIVEN a confirmed fall, WHEN the tool is within the length of slots, THEN limits are halved."""
-    length = SLOT_GROUP_LENGTHS * float(default_params()["step_travel_m"])
+    length = 12.0 * float(default_params()["step_travel_m"])
     free = descent_after_50_ms(0.0, 0.0)
     assert descent_after_50_ms(-0.01, 0.9 * length) == pytest.approx(0.5 * free, rel=0.1)
     assert descent_after_50_ms(-0.01, 1.1 * length) == free

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from forecast.driving import MS, Kernel, names_of
 from forecast.driving import default_params as conversion_params
-from surffollow.forecast.fold_back import PROBE_M, limit
+from surffollow.forecast.fold_back import limit
 
 T = 10_000 * MS
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -104,11 +104,11 @@ def test_near_the_fold_back_only_demands_away_leave_until_the_branch_is_proven()
     assert "TOO_CLOSE" not in names_of(follow(k, T, 0.07, z=0.2)["status"])
     o = follow(k, T + MS, near, z=0.2)
     assert "TOO_CLOSE" in names_of(o["status"])
-    assert o["demand"][2] >= PROBE_M
+    assert o["demand"][2] >= 0.001
     # folded back: nearer reads farther, so moving down lets the reading grow
     o = follow(k, T + 2 * MS, near + 0.01, z=0.19)
     assert "TOO_CLOSE" in names_of(o["status"])
-    assert o["demand"][2] >= PROBE_M
+    assert o["demand"][2] >= 0.001
     # the true branch, but not yet far enough
     o = follow(k, T + 3 * MS, near + 0.003, z=0.183)
     o = follow(k, T + 4 * MS, near + 0.0035, z=0.186)
@@ -126,7 +126,7 @@ def test_too_close_survives_a_reset_and_a_lost_sensor():
     assert "TOO_CLOSE" in names_of(follow(k, T + MS, 0.1)["status"])
     o = follow(k, T + 2 * MS, math.nan)
     assert "TOO_CLOSE" in names_of(o["status"])
-    assert o["demand"][2] >= PROBE_M
+    assert o["demand"][2] >= 0.001
 
 
 @pytest.mark.parametrize(("run", "name"), [(1, "DRYRUN"), (2, "FROZEN")])
@@ -178,4 +178,4 @@ def test_no_input_puts_a_nan_into_the_output_or_a_demand_beyond_its_limit(stream
         for name in ("target_m", "height_m", "slope", "speed_mps", "delta_h_m", "error_m"):
             assert np.isfinite(o[name]).all(), name
         if "TOO_CLOSE" in names_of(o["status"]) and "SENSOR_LOST" not in names_of(o["status"]):
-            assert o["demand"][2] >= min(PROBE_M, most)
+            assert o["demand"][2] >= min(0.001, most)

@@ -17,7 +17,7 @@ from surffollow.forecast.estimation.model_weights import update_index
 from surffollow.forecast.estimation.setpoint_lead import reset_lead, update_lead
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
 from .feeding import default_params
 
@@ -28,13 +28,13 @@ FLOOR_M = 3e-5
 def test_the_part_is_that_of_the_least_mean_square(seed: int) -> None:
     """The twin weighs all errors at once; the kernel updates means over two horizons sample by sample."""
     rng, n, rates = np.random.default_rng(seed), 400, (0.1, 0.02)
-    with_lead, without = rng.normal(0.0, 1e-3, (n, N_LEADS)), rng.normal(0.0, 1e-3, (n, N_LEADS))
-    without += rng.uniform(-1.0, 2.0, N_LEADS) * with_lead
+    with_lead, without = rng.normal(0.0, 1e-3, (n, WAVES)), rng.normal(0.0, 1e-3, (n, WAVES))
+    without += rng.uniform(-1.0, 2.0, WAVES) * with_lead
     target = rng.normal(0.1, 1e-3, n)
     a, params = zeros(AdaptiveState)[0], default_params()
     params["score_floor_m"] = FLOOR_M
     for k in range(n):
-        a["shadow"]["position_m"][:N_LEADS] = target[k] + with_lead[k]
+        a["shadow"]["position_m"][:WAVES] = target[k] + with_lead[k]
         a["shadow"]["position_m"][N_MODELS:] = target[k] + without[k]
         update_lead(params, a, *rates, target[k])
     effect, parts = with_lead - without, []
@@ -42,8 +42,8 @@ def test_the_part_is_that_of_the_least_mean_square(seed: int) -> None:
         weights = rate * (1.0 - rate) ** np.arange(n - 1, -1, -1)
         parts.append(weights @ (with_lead * effect) / (weights @ effect**2 + FLOOR_M**2))
     least = np.clip(np.minimum(*parts), 0.0, 1.0)
-    assert a["lead"]["left_out"][:N_LEADS] == pytest.approx(least, abs=1e-9)
-    assert (a["lead"]["left_out"][N_LEADS:] == 0.0).all(), "waves keep their lead"
+    assert a["lead"]["left_out"][:WAVES] == pytest.approx(least, abs=1e-9)
+    assert (a["lead"]["left_out"][WAVES:] == 0.0).all(), "waves keep their lead"
     reset_lead(a["lead"])
     assert (a["lead"]["left_out"] == 0.0).all()
     assert (a["lead"]["excess_m2"] == 0.0).all()
@@ -54,10 +54,10 @@ def test_a_model_is_scored_with_the_lead_that_it_has() -> None:
     """GIVEN axes that are 1 mm too high with the lead, 1 mm too low without WHEN half is left out."""
     a, params = zeros(AdaptiveState)[0], default_params()
     a["shadow"]["position_m"][:N_MODELS], a["shadow"]["position_m"][N_MODELS:] = 0.101, 0.099
-    a["lead"]["left_out"][:N_LEADS] = 0.5
+    a["lead"]["left_out"][:WAVES] = 0.5
     update_index(params, a, 1e-3, 0.004, 0.1)
-    assert a["weights"]["recent_m2"][:N_LEADS] == pytest.approx(0.0, abs=1e-12)
-    assert (a["weights"]["recent_m2"][N_LEADS:] > 1e-8).all(), "waves have the whole lead"
+    assert a["weights"]["recent_m2"][:WAVES] == pytest.approx(0.0, abs=1e-12)
+    assert (a["weights"]["recent_m2"][WAVES:] > 1e-8).all(), "waves have the whole lead"
 
 
 def test_a_lead_without_an_effect_is_kept() -> None:
@@ -95,12 +95,12 @@ def test_ground_that_becomes_predictable_has_its_lead_again_soon() -> None:
     recent, longer = 1e-3 / 0.25, 1e-3 / 3.0  # a sample per millimetre
     for _ in range(20_000):
         error = rng.normal(0.0, 2e-3)
-        a["shadow"]["position_m"][:N_LEADS] = 0.1 + error
+        a["shadow"]["position_m"][:WAVES] = 0.1 + error
         a["shadow"]["position_m"][N_MODELS:] = 0.1 + 0.2 * error
         update_lead(params, a, recent, longer, 0.1)
     assert a["lead"]["left_out"][0] == pytest.approx(1.0)
     for _ in range(1000):  # with the lead there is no error, without it 2 mm
-        a["shadow"]["position_m"][:N_LEADS] = 0.1
+        a["shadow"]["position_m"][:WAVES] = 0.1
         a["shadow"]["position_m"][N_MODELS:] = 0.098
         update_lead(params, a, recent, longer, 0.1)
     assert a["lead"]["left_out"][0] < 0.05

@@ -9,6 +9,7 @@ from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
 from surffollow.forecast.estimation import adaptation
 from surffollow.forecast.plant import axis_model, controller_clock, plant_identification
+from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
 from surffollow.forecast.setpoint import preview_control, setpoint_blend, setpoint_limits, tested_setpoint
 from surffollow.forecast.terrain import known_ground, lookahead_sensor, preview
@@ -25,7 +26,7 @@ def distance_ahead(params, adaptive, sense):
     ----------
     params, adaptive, sense : records of `Params`, `AdaptiveState`, `SenseState`
     """
-    motion, sample, newest = adaptive.kinematics, adaptive.sample, (sense.pose_count - 1) & (layout.POSES - 1)
+    motion, sample, newest = adaptive.kinematics, adaptive.sample, newest_pose(sense)
     if kinematics.is_at_rest(motion):
         return 0.0
     gap_x = sense.pose[7 * newest] + sample.tip_x_m - sample.x_m
@@ -82,8 +83,7 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     wait_s = controller_clock.mean_wait_s(params, controller)
     ahead_m += motion.speed_mps * ((latch_ns - now_ns) * 1e-9 - wait_s)
     known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
-    preview.update_share(adaptive, known, plant_identification.model_error(adaptive.plant))
-    if known >= preview.MIN_KNOWN_PERIODS:
+    if preview.update_share(adaptive, known, plant_identification.model_error(adaptive.plant)):
         z, v = plant_identification.predict_axis(params, adaptive, latch_ns)
         preview.extrapolate_ground(adaptive, known, ahead_m)
         standoff_m += tested_setpoint.setpoint_shift_m(adaptive.response)
@@ -113,8 +113,7 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
     planned = adaptive.plan.setpoint_m
     if ahead.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
         planned = max(planned, known_ground.lowest_plan(adaptive, target_m))
-    target_m += ahead.share * (planned - target_m)
-    return target_m
+    return target_m + ahead.share * (planned - target_m)
 
 
 @jit_inlined
@@ -132,7 +131,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     Needs a pose. The demand adds to the newest pose reported, `output.pose_t_ns`.
     """
     estimate, controller, setpoint = adaptive.estimate, adaptive.controller, adaptive.setpoint
-    newest = (sense.pose_count - 1) & (layout.POSES - 1)
+    newest = newest_pose(sense)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
     orients = params.orient != 0 and params.n_channels >= 3
     if clock.update_clock(adaptive.clock, inputs.t_ns, pose_t_ns):
@@ -184,7 +183,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     if fold.close != 0:
         health.latch_fault(adaptive.health, layout_adaptive.FAULT_CLOSE)
         status |= layout.TOO_CLOSE
-        limited = max(limited, min(fold_back.PROBE_M, params.max_demand_m))
+        limited = fold_back.lead_away(params, limited)
         attitude.release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     output.demand[2] = limited
     if fold.close == 0 and not stuck and orients and adaptive.plane.count > 0:

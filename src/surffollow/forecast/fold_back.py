@@ -6,9 +6,9 @@ demands away from the surface leave, until a move of the tool along z shows the
 reading to move with it (the true branch) beyond the exit distance.
 """
 
-from surffollow.shm.jit import jit_inlined
+import math
 
-PROBE_M = 0.001  # least demand away from the surface while the branch is in doubt
+from surffollow.shm.jit import jit_inlined
 
 
 @jit_inlined
@@ -36,10 +36,14 @@ def watch_fold_back(params, fold, range_m, sensor_z_m):
 
 
 @jit_inlined
+def lead_away(params, demand_m):
+    """Demand while the branch is in doubt: at least 1 mm away from the surface [m]."""
+    return max(demand_m, min(0.001, params.max_demand_m))
+
+
+@jit_inlined
 def limit(value, bound):
     """`value` cut to ±`bound`; NaN gives 0."""
-    if value > bound:
-        return bound
-    if value < -bound:
-        return -bound
+    if abs(value) > bound:
+        return math.copysign(bound, value)
     return value if value == value else 0.0

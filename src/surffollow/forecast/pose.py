@@ -33,6 +33,12 @@ def rotate(qx, qy, qz, qw, x, y, z):
     return x + 2.0 * (qy * tz - qz * ty), y + 2.0 * (qz * tx - qx * tz), z + 2.0 * (qx * ty - qy * tx)
 
 
+@jit_inlined
+def to_world(pose, at, x, y, z):
+    """The vector (x, y, z) in the frame of the pose at `pose[at:at+7]`, in world axes."""
+    return rotate(pose[at + 3], pose[at + 4], pose[at + 5], pose[at + 6], x, y, z)
+
+
 @jit
 def rotation_between(ax, ay, az, bx, by, bz):
     """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
@@ -57,6 +63,12 @@ def rotation_between(ax, ay, az, bx, by, bz):
 
 
 @jit_inlined
+def newest_pose(sense):
+    """Slot of the newest pose report in its rings."""
+    return (sense.pose_count - 1) & (POSES - 1)
+
+
+@jit_inlined
 def push_pose(sense, t_ns, pose, at):
     """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused).
 
@@ -68,7 +80,7 @@ def push_pose(sense, t_ns, pose, at):
     at : int                        index of the first number
     """
     n = sense.pose_count
-    if n > 0 and t_ns <= sense.pose_t_ns[(n - 1) & (POSES - 1)]:
+    if n > 0 and t_ns <= sense.pose_t_ns[newest_pose(sense)]:
         sense.poses_refused += 1
         return 0
     slot = n & (POSES - 1)
@@ -93,8 +105,7 @@ def report_pose(state, step_ns, t_ns, pose):
     -------
     int64  TAKEN; 0: refused, not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
     """
-    norm2 = pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6]
-    norm = math.sqrt(norm2)
+    norm = math.sqrt(pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6])
     if not (math.isfinite(pose[0] + pose[1] + pose[2]) and abs(norm - 1.0) <= QUATERNION_TOLERANCE):
         return NO_POSE
     if not max(abs(pose[0]), abs(pose[1]), abs(pose[2])) <= MAX_POSITION_M:
@@ -103,7 +114,7 @@ def report_pose(state, step_ns, t_ns, pose):
         pose[i] /= norm
     sense = state[0].sense
     if sense.pose_count > 0:
-        newest = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+        newest = sense.pose_t_ns[newest_pose(sense)]
         jump_ns = clock_jump_ns(state[0].scaled)
         if t_ns <= newest - jump_ns and newest > max(t_ns, step_ns) + jump_ns:
             sense.pose_count = 0  # else a single wrong stamp would refuse every report for ever
@@ -123,15 +134,12 @@ def pose_at(sense, t_ns, interpolate, out):
     interpolate : int   0: the latest pose
     out : (7,) float64  receives x y z [m], qx qy qz qw
     """
-    n = sense.pose_count
-    newest = (n - 1) & (POSES - 1)
-    oldest = max(0, n - POSES)
-    k = n - 1
+    k, oldest = sense.pose_count - 1, max(0, sense.pose_count - POSES)
     if interpolate != 0:
         while k > oldest and sense.pose_t_ns[k & (POSES - 1)] > t_ns:
             k -= 1
     a = k & (POSES - 1)
-    if interpolate == 0 or a == newest or sense.pose_t_ns[a] > t_ns:
+    if interpolate == 0 or a == newest_pose(sense) or sense.pose_t_ns[a] > t_ns:
         for i in range(7):
             out[i] = sense.pose[a * 7 + i]
         return
@@ -168,9 +176,8 @@ def footprint(tool, mounts, channel, range_m):
     x_m, y_m, z_m, sensor_z_m : float64
     """
     m = channel * 7
-    qx, qy, qz, qw = tool[3], tool[4], tool[5], tool[6]
-    bx, by, bz = rotate(mounts[m + 3], mounts[m + 4], mounts[m + 5], mounts[m + 6], 0.0, 0.0, -range_m)
-    sx, sy, sz = rotate(qx, qy, qz, qw, mounts[m], mounts[m + 1], mounts[m + 2])
-    wx, wy, wz = rotate(qx, qy, qz, qw, bx, by, bz)
+    bx, by, bz = to_world(mounts, m, 0.0, 0.0, -range_m)
+    sx, sy, sz = to_world(tool, 0, mounts[m], mounts[m + 1], mounts[m + 2])
+    wx, wy, wz = to_world(tool, 0, bx, by, bz)
     sensor_z = tool[2] + sz
     return tool[0] + sx + wx, tool[1] + sy + wy, sensor_z + wz, sensor_z

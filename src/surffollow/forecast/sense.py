@@ -15,9 +15,7 @@ def is_absent(params, age_ns):
 @jit_inlined
 def lose_channel(sense, c):
     """A loss of channel `c`: its window is emptied, and all that averages its readings begins anew."""
-    sense.window_n[c] = 0
-    sense.valid[c] = 0
-    sense.fresh[c] = 0
+    sense.window_n[c] = sense.valid[c] = sense.fresh[c] = 0
     sense.losses[c] += 1
 
 
@@ -55,10 +53,8 @@ def push_sample(params, sense, c, t_ns, range_m):
             lose_channel(sense, c)
     n = sense.window_n[c]
     slot = c * CONVERSION_WINDOW + (n & (CONVERSION_WINDOW - 1))
-    sense.window_m[slot] = range_m
-    sense.window_t_ns[slot] = t_ns
-    sense.window_n[c] = n + 1
-    sense.fresh[c] = 1
+    sense.window_m[slot], sense.window_t_ns[slot] = range_m, t_ns
+    sense.window_n[c], sense.fresh[c] = n + 1, 1
 
 
 @jit_inlined
@@ -72,8 +68,7 @@ def average_windows(params, sense, least):
         if sense.fresh[c] == 0:
             sense.missed[c] = 1
             continue
-        n = sense.window_n[c]
-        base = c * CONVERSION_WINDOW
+        n, base = sense.window_n[c], c * CONVERSION_WINDOW
         last_ns = sense.window_t_ns[base + ((n - 1) & (CONVERSION_WINDOW - 1))]
         note_spacing(sense, c, last_ns)
         if n < least:

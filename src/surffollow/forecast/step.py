@@ -4,7 +4,7 @@ import math
 
 from surffollow.forecast import adaptive_step, fold_back, reference_scales, reset, stop
 from surffollow.forecast.paper import extrapolation
-from surffollow.forecast.pose import footprint, pose_at
+from surffollow.forecast.pose import footprint, newest_pose, pose_at
 from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing import latency_identification, sample_hold
 from surffollow.shm import layout_follow as layout
@@ -53,17 +53,14 @@ def find_targets(params, state, output, pose, interpolate):
     sense = state.sense
     fresh, sensor_z = 0, 0.0
     oldest_ns = sense.pose_t_ns[max(0, sense.pose_count - layout.POSES) & (layout.POSES - 1)]
-    newest_ns = sense.pose_t_ns[(sense.pose_count - 1) & (layout.POSES - 1)]
+    newest_ns = sense.pose_t_ns[newest_pose(sense)]
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             continue
         pose_at(sense, sense.range_t_ns[c], interpolate, pose)
-        pose_t_ns = newest_ns
-        if interpolate != 0:
-            pose_t_ns = min(max(sense.range_t_ns[c], oldest_ns), newest_ns)
+        pose_t_ns = min(max(sense.range_t_ns[c], oldest_ns), newest_ns) if interpolate != 0 else newest_ns
         x, y, z, height = footprint(pose, params.tool_from_sensor, c, sense.range_m[c])
-        if c == 0:
-            sensor_z = height
+        sensor_z = height if c == 0 else sensor_z
         target = output.target_m[3 * c : 3 * c + 3]
         target[0], target[1], target[2] = x, y, z
         extrapolation.average_point(params, state.paper, sense, c, pose_t_ns, target)
@@ -78,13 +75,10 @@ def clear_output(params, state, inputs, output):
 
     A reading that is not renewed stays valid until `loss_timeout_ns`.
     """
-    output.t_ns = inputs.t_ns
-    output.cycle = state.cycle
-    output.demand[:] = 0.0
-    output.fresh = 0
-    output.delta_h_m = 0.0
-    output.error_m = 0.0
     sense = state.sense
+    output.t_ns, output.cycle, output.fresh = inputs.t_ns, state.cycle, 0
+    output.demand[:] = 0.0
+    output.delta_h_m = output.error_m = 0.0
     for c in range(layout.CHANNELS):
         age_ns = inputs.t_ns - params.sensor_latency_ns - sense.range_t_ns[c]
         current = sense.valid[c] != 0 and (sense.fresh[c] != 0 or age_ns <= params.loss_timeout_ns)
@@ -102,26 +96,23 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
     reading_z_m : float64  height of the sensor in the pose of a fresh reading [m]
     pose : (7,) float64    scratch
     """
-    p, t_ns, range_m, fresh = state.paper, inputs.t_ns, state.sense.range_m[0], output.fresh & 1
+    p, t_ns, fresh = state.paper, inputs.t_ns, output.fresh & 1
     sensor_z_m, farthest_m = reading_z_m, math.inf
     if fresh != 0:
         extrapolation.paper_update(params, p, state.sense)
-        fold_back.watch_fold_back(params, state.fold, range_m, reading_z_m)
+        fold_back.watch_fold_back(params, state.fold, state.sense.range_m[0], reading_z_m)
     else:
         farthest_m = extrapolation.distance_since_reading(params, p, state.sense, t_ns)
     if fresh == 0 or params.pose_interpolate != 0:
         pose_at(state.sense, t_ns, 0, pose)
         _, _, _, sensor_z_m = footprint(pose, params.tool_from_sensor, 0, 0.0)
-    delta_h, error = extrapolation.paper_forecast(
-        params, p, t_ns, fresh, range_m, reading_z_m, sensor_z_m, farthest_m
+    output.delta_h_m, output.error_m = extrapolation.paper_forecast(
+        params, p, state.sense, t_ns, fresh, reading_z_m, sensor_z_m, farthest_m
     )
-    if fresh != 0:
-        extrapolation.note_place(p, state.sense)
-    output.delta_h_m, output.error_m = delta_h, error
     status = layout.VALID
     if fresh == 0 and (state.sense.valid[0] == 0 or is_absent(params, t_ns - p.reading_t_ns)):
         status |= layout.NO_SENSOR
-    demand_m = delta_h + error
+    demand_m = output.delta_h_m + output.error_m
     limited_m = fold_back.limit(demand_m, params.max_demand_m)
     if limited_m != demand_m:
         status |= layout.LIMITED
@@ -134,8 +125,7 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
         dz = 0.0
     if state.fold.close != 0:
         status |= layout.TOO_CLOSE
-        if not lost:
-            dz = max(dz, min(fold_back.PROBE_M, params.max_demand_m))
+        dz = 0.0 if lost else fold_back.lead_away(params, dz)
     output.demand[2] = dz
     return status
 
@@ -211,12 +201,10 @@ def follow_step(params, state, inputs, output, scratch):
         take_conversions(p, s.sense, i)
     clear_output(p, s, i, o)
     ready = False
-    n = s.sense.pose_count
-    if n == 0:
-        o.pose_t_ns = 0
-        o.status = layout.NO_POSE
+    if s.sense.pose_count == 0:
+        o.pose_t_ns, o.status = 0, layout.NO_POSE
     else:
-        o.pose_t_ns = s.sense.pose_t_ns[(n - 1) & (layout.POSES - 1)]
+        o.pose_t_ns = s.sense.pose_t_ns[newest_pose(s.sense)]
         # a pose from a future as far away says as little about now as an old one
         if abs(i.t_ns - o.pose_t_ns) > p.pose_timeout_ns:
             o.status = layout.POSE_STALE
@@ -230,22 +218,21 @@ def follow_step(params, state, inputs, output, scratch):
             o.status = demand_z(p, s, i, o, sensor_z, scratch)
     if p.mode == layout.MODE_ADAPTIVE:
         o.status |= scaled_adaptive_cycle(params, state, inputs, output, scratch, ready)
+    else:
+        report_paper(s.paper, o)
     if p.run == layout.RUN_DRYRUN:
         o.status = (o.status & ~layout.VALID) | layout.DRYRUN
     elif p.run == layout.RUN_FREEZE:
         o.status = (o.status & ~layout.VALID) | layout.FROZEN
         o.demand[:] = 0.0
     s.cycle += 1
-    if p.mode != layout.MODE_ADAPTIVE:
-        report_paper(s.paper, o)
     stop.apply_stop(p, s, o)
 
 
 @jit_inlined
 def report_paper(paper, output):
     """Copy the state of the paper mode to the output."""
-    output.slope, output.speed_mps = paper.slope, paper.speed_mps
-    output.reason = 0
+    output.slope, output.speed_mps, output.reason = paper.slope, paper.speed_mps, 0
     output.intervals = paper.interval_count
     if paper.interval_count > 0:
-        output.height_m = paper.interval_h_m[(paper.interval_count - 1) & (paper.interval_h_m.size - 1)]
+        output.height_m = paper.interval_h_m[(paper.interval_count - 1) & (layout.INTERVALS - 1)]

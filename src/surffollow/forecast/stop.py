@@ -31,15 +31,12 @@ def apply_stop(params, state, output):
     """
     if output.status & layout.VALID:
         state.stop_armed = 1
-    causes = 0
-    if output.status & layout.POSE_STALE:
-        causes |= layout.STOP_POSE_STALE
-    if output.status & layout.SENSOR_LOST and state.stop_armed != 0:
-        causes |= layout.STOP_SENSOR_LOST
-    if output.status & layout.TOO_CLOSE:
-        causes |= layout.STOP_TOO_CLOSE
-    if params.mode == layout.MODE_ADAPTIVE and output.health == STUCK:
-        causes |= layout.STOP_STUCK
+    lost = output.status & layout.SENSOR_LOST and state.stop_armed != 0
+    stuck = params.mode == layout.MODE_ADAPTIVE and output.health == STUCK
+    causes = layout.STOP_POSE_STALE if output.status & layout.POSE_STALE else 0
+    causes |= layout.STOP_SENSOR_LOST if lost else 0
+    causes |= layout.STOP_TOO_CLOSE if output.status & layout.TOO_CLOSE else 0
+    causes |= layout.STOP_STUCK if stuck else 0
     output.stop_now = causes
     state.stop |= causes & params.stop_on
     output.stop = state.stop

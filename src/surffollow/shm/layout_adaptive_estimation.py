@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from surffollow.shm.schema import F64, I64, Schema
 
-N_MODELS, N_WAVES = 20, 8  # of the bank; the last of them are waves
-N_LEADS = N_MODELS - N_WAVES  # models that may lead less: not the waves, which are known ahead
-N_AXES = N_MODELS + N_LEADS  # simulated: of all models with their lead, of those without it, too
+N_MODELS, WAVES = 20, 12  # of the bank; from number WAVES on they are waves, the others may lead less
+N_AXES = N_MODELS + WAVES  # simulated: of all models with their lead, of those that may lead less without it
 N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
@@ -96,10 +95,8 @@ class Weights(Schema):
 class Lead(Schema):
     """Part of the lead that the setpoints of a model leave out (`setpoint_lead`)."""
 
-    excess_m2 = F64(2 * N_LEADS, unit="m^2", doc="mean of e1 (e1 − e0), errors with the lead, without it")
-    effect_m2 = F64(
-        2 * N_LEADS, unit="m^2", doc="mean of (e1 − e0)²; both over the recent, the longer horizon"
-    )
+    excess_m2 = F64(2 * WAVES, unit="m^2", doc="mean of e1 (e1 − e0), errors with the lead, without it")
+    effect_m2 = F64(2 * WAVES, unit="m^2", doc="mean of (e1 − e0)²; both over the recent, the longer horizon")
     left_out = F64(N_MODELS, doc="part of the lead by τ times the rate of the height, 0 to 1; of a wave 0")
 
 

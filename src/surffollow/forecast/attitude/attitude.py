@@ -6,9 +6,9 @@ A single reading therefore cannot make the demanded rotation jump.
 
 import math
 
-from surffollow.forecast.attitude.rotation_response import FAR_TURN, tested_direction
+from surffollow.forecast.attitude.rotation_response import tested_direction
 from surffollow.forecast.plant.controller_clock import mean_wait_s
-from surffollow.forecast.pose import rotate, rotation_between
+from surffollow.forecast.pose import newest_pose, rotation_between, to_world
 from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.forecast.setpoint.setpoint_limits import restart_pause_s
 from surffollow.shm.jit import jit
@@ -68,13 +68,6 @@ def limit_attitude(params, attitude, nx, ny, nz, dt):
 
 
 @jit
-def tool_axis(sense, k):
-    """Direction of the tool's axis in the pose report with this count, world frame."""
-    p, q = sense.pose, 7 * (k & (POSES - 1)) + 3
-    return rotate(p[q], p[q + 1], p[q + 2], p[q + 3], 0.0, 0.0, 1.0)
-
-
-@jit
 def demand_rotation(params, adaptive, sense, output):
     """Rotation vector from the reported axis of the tool to its setpoint, at most `max_turn_rad`.
 
@@ -84,11 +77,11 @@ def demand_rotation(params, adaptive, sense, output):
     output : record of `Output`  receives `demand[3:6]` [rad]
     """
     now_ns, attitude = adaptive.clock.now_ns, adaptive.attitude
-    u, last = attitude.axis, sense.pose_count - 1
-    tx, ty, tz = tool_axis(sense, last)
-    bx, by, bz = tool_axis(sense, max(last - 1, 0))
+    u, before = attitude.axis, max(sense.pose_count - 2, 0) & (POSES - 1)
+    tx, ty, tz = to_world(sense.pose, 7 * newest_pose(sense), 0.0, 0.0, 1.0)
+    bx, by, bz = to_world(sense.pose, 7 * before, 0.0, 0.0, 1.0)
     _, _, _, turn = rotation_between(bx, by, bz, tx, ty, tz)
-    jumped = turn > FAR_TURN * params.max_tilt_rad  # no tool turns so far between two reports
+    jumped = turn > 0.3 * params.max_tilt_rad  # no tool turns so far between two reports
     if params.run == RUN_FREEZE:
         release_attitude(attitude)  # afterwards it begins at the tool
         return

@@ -17,12 +17,13 @@ from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.forecast.sensing.response import MOTION_BANDS
 from surffollow.forecast.sensing.standoff import axis_ground_point
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 
-CONFIRMATION_SAMPLES = 5  # after so many outside the gate the ground has turned
-STUCK_SAMPLES = 12.0  # a stuck beam repeats its range for so many usual intervals longer than a drop-out
-CHANGES = 6  # of the ranges of two others by turns in a second, while that of a beam stays: no chance
-WEIGHT_RECOVERY = 0.1  # per sample, of a beam that is accepted again
+
+@jit_inlined
+def is_recent(beams, c, t_ns):
+    """Whether a beam has a sample as new as one with this timestamp."""
+    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS
 
 
 @jit
@@ -124,10 +125,11 @@ def is_blocked(params, adaptive, c):
     """
     beams, n = adaptive.beams, 0
     for k in range(params.n_channels):
-        n += 1 if beams.t_ns[k] != 0 and abs(beams.t_ns[c] - beams.t_ns[k]) <= MISSING_NS else 0
+        n += 1 if is_recent(beams, k, beams.t_ns[c]) else 0
     least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
     changes = beams.changes - beams.run_changes[c]
-    return n == 3 and changes >= CHANGES and beams.run_motion_m[c] > least_m
+    # six changes of the two others by turns in a second are no chance
+    return n == 3 and changes >= 6 and beams.run_motion_m[c] > least_m
 
 
 @jit
@@ -157,8 +159,8 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
     beams, plane = adaptive.beams, adaptive.plane
     n, repeating = 0, 0
     for c in range(params.n_channels):
-        recent = beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS
-        beams.accepted[c] = 1 if recent and not is_blocked(params, adaptive, c) else 0
+        usable = is_recent(beams, c, t_ns) and not is_blocked(params, adaptive, c)
+        beams.accepted[c] = 1 if usable else 0
         if beams.accepted[c] == 0:
             continue
         dx, dy = beams.footprint_m[3 * c] - x_m, beams.footprint_m[3 * c + 1] - y_m
@@ -176,10 +178,9 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
 
 @jit
 def is_repeating(adaptive, c):
-    """Whether a beam repeats its range for longer than chance explains."""
-    beams = adaptive.beams
-    stuck_ns = MAX_GAP_NS + STUCK_SAMPLES * adaptive.prediction.interval_s * 1e9
-    return beams.t_ns[c] - beams.repeat_ns[c] > stuck_ns
+    """Whether a beam repeats its range for longer than chance explains: a drop-out and 12 intervals."""
+    stuck_ns = MAX_GAP_NS + 12.0 * adaptive.prediction.interval_s * 1e9
+    return adaptive.beams.t_ns[c] - adaptive.beams.repeat_ns[c] > stuck_ns
 
 
 @jit
@@ -196,7 +197,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     n, repeating = collect_heights(params, adaptive, t_ns, x_m, y_m)
     median = 0.5 * (beams.sorted_m[(n - 1) // 2] + beams.sorted_m[n // 2])
     gate = max(params.gate_scales * adaptive.noise.sigma_m, 2.0 * params.gate_m)
-    agree = 0
+    agree, turned = 0, 5  # after so many samples outside the gate the ground has turned
     for k in range(n):
         agree += 1 if abs(beams.sorted_m[k] - median) <= gate else 0
     majority = agree >= 3 and adaptive.plane.rank == 2
@@ -226,12 +227,12 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
             deviates = abs(deviation) > 1.0 and begun and not rises
             beams.deviation[c] = deviation
             count = beams.outside_count[c] + (1 if deviates else -1)
-            beams.outside_count[c] = min(max(count, 0), 2 * CONFIRMATION_SAMPLES)
-            unconfirmed = deviates and count <= CONFIRMATION_SAMPLES
+            beams.outside_count[c] = min(max(count, 0), 2 * turned)
+            unconfirmed = deviates and count <= turned
             stuck = repeating == 1 and n >= 2 and is_repeating(adaptive, c)
             rejected = stuck or unconfirmed or (majority and count > 0)
         beams.accepted[c] = 0 if rejected else 1
-        recovered = min(beams.weight[c] + WEIGHT_RECOVERY, 1.0) if begun else 1.0
+        recovered = min(beams.weight[c] + 0.1, 1.0) if begun else 1.0  # it comes back within ten samples
         beams.weight[c] = 0.0 if rejected else recovered
         good += beams.accepted[c]
     return good

@@ -11,8 +11,6 @@ from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.shm.jit import jit
 
-SLOPE_BANDWIDTH_RADPS = 11.0  # of the slopes, critically damped
-
 
 @jit
 def plane_height(params, adaptive, t_ns, x_m, y_m):
@@ -49,6 +47,12 @@ def reset_plane(plane):
     """Discard the plane: it is level."""
     plane.first_ns = plane.count = 0
     plane.slope_x = plane.slope_y = plane.slope_rate_x_hz = plane.slope_rate_y_hz = plane.curvature = 0.0
+
+
+@jit
+def slope_gain(dt):
+    """Gain of slopes with a bandwidth of 11 rad/s, critically damped, after a time [s]."""
+    return min(2.0 * 11.0 * dt, 0.5)
 
 
 @jit
@@ -93,7 +97,7 @@ def update_plane(params, adaptive, dt):
     along -= plane.slope_x * ux + plane.slope_y * uy
     across = across - plane.slope_y * ux + plane.slope_x * uy if plane.rank == 2 else 0.0
     ex, ey = along * ux - across * uy, along * uy + across * ux
-    share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
+    share = slope_gain(dt)
     if plane.rank == 2:
         plane.fitted_x, plane.fitted_y, plane.spread_m2 = plane.slope_x + ex, plane.slope_y + ey, spread_m2
         error = plane_regression.curvature_error(beams, plane, params.n_channels, mx, my, mh)

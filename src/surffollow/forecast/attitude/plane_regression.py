@@ -5,8 +5,6 @@ import math
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.shm.jit import jit
 
-MIN_CONDITION = 1e-2  # least share of the spread of the footprints across their line
-
 
 @jit
 def half_squared_distance(beams, c):
@@ -44,10 +42,8 @@ def fit_plane(beams, weights, n_channels, curvature, sigma_m):
     total, mx, my, mh = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w = weights[c]
-        total += w
-        mx += w * beams.footprint_m[3 * c]
-        my += w * beams.footprint_m[3 * c + 1]
-        mh += w * flat_height(beams, curvature, c)
+        mx, my = mx + w * beams.footprint_m[3 * c], my + w * beams.footprint_m[3 * c + 1]
+        total, mh = total + w, mh + w * flat_height(beams, curvature, c)
     mx, my, mh = mx / total, my / total, mh / total
     xx, xy, yy, xh, yh, hh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
@@ -64,7 +60,7 @@ def fit_plane(beams, weights, n_channels, curvature, sigma_m):
     # footprints nearer to each other than 20 standard deviations of a reading give no slope
     least_m2 = (20.0 * max(sigma_m, MIN_NOISE_M)) ** 2
     rank = 1 if major > least_m2 else 0
-    if minor > max(least_m2, MIN_CONDITION * (major + minor)):
+    if minor > max(least_m2, 1e-2 * (major + minor)):  # nearly on one line they give none across it
         rank = 2
     error = hh - major * along * along - minor * across * across
     return rank, mx, my, mh, ux, uy, along, across, minor, error
@@ -91,4 +87,4 @@ def curvature_error(beams, plane, n_channels, mx, my, mh):
         total, mean_q = total + w, mean_q + w * q
         square_q, covariance = square_q + w * q * q, covariance + w * q * left
     spread = square_q - mean_q * mean_q / total
-    return covariance / spread if spread > MIN_CONDITION * square_q else 0.0
+    return covariance / spread if spread > 1e-2 * square_q else 0.0

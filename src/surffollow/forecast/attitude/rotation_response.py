@@ -9,17 +9,15 @@ or not. If it does not, the tool does not turn (`ROTATION_FAILED`) until the dev
 
 import math
 
-from surffollow.forecast.attitude.plane_fit import SLOPE_BANDWIDTH_RADPS
+from surffollow.forecast.attitude.beam_detection import is_recent
+from surffollow.forecast.attitude.plane_fit import slope_gain
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.pose import rotate, rotation_between
-from surffollow.forecast.quantities import MISSING_NS
+from surffollow.forecast.pose import rotate, rotation_between, to_world
 from surffollow.forecast.sensing import response
 from surffollow.forecast.sensing.mean_range import TEST_BAND_FACTOR
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
-
-FAR_TURN = 0.3  # of `max_tilt_rad`: beyond, a constant deviation is always tested
 
 
 @jit
@@ -35,9 +33,8 @@ def mean_range(beams, n_channels, t_ns, range_m):
     """
     total, n = 0.0, 0
     for c in range(n_channels):
-        if beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS:
-            total += beams.range_m[c]
-            n += 1
+        if is_recent(beams, c, t_ns):
+            total, n = total + beams.range_m[c], n + 1
     return total / n if n > 0 else range_m
 
 
@@ -72,7 +69,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
         if begins:
             reset_rotation(rotation)  # too few beams to see a response: what is left is followed as ever
         return
-    axis = rotate(pose[3], pose[4], pose[5], pose[6], 0.0, 0.0, 1.0)
+    axis = to_world(pose, 0, 0.0, 0.0, 1.0)
     nx, ny, nz = rotate(-pose[3], -pose[4], -pose[5], pose[6], -plane.fitted_x, -plane.fitted_y, 1.0)
     if not nz > 0.0:
         return
@@ -83,7 +80,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
         mean[0], mean[1] = dx, dy
         _begin_run(rotation, t_ns, axis)
         return
-    share = min(2.0 * SLOPE_BANDWIDTH_RADPS * dt, 0.5)
+    share = slope_gain(dt)
     mean[0], mean[1] = mean[0] + share * (dx - mean[0]), mean[1] + share * (dy - mean[1])
     # beyond four standard deviations of the mean the deviation has changed
     band = 4.0 * max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(share / plane.spread_m2)
@@ -102,7 +99,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
         deviation = math.hypot(run[0], run[1])
         wrong = response.is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
-        far = turn > FAR_TURN * params.max_tilt_rad
+        far = turn > 0.3 * params.max_tilt_rad  # beyond, a constant deviation is always tested
         if rotation.samples * share > response.MIN_MEANS and turn > probe and (wrong or far):
             rotation.phase, rotation.samples = ROTATION_TEST, 0
             for i in range(3):
@@ -111,12 +108,6 @@ def observe_rotation(params, adaptive, t_ns, pose):
         rotation.samples += 1
         if rotation.samples * share > response.MIN_MEANS:
             rotation.phase = ROTATION_FAILED
-
-
-@jit
-def has_failed(rotation):
-    """Whether the deviation did not follow a test, and has not changed since."""
-    return rotation.phase == ROTATION_FAILED
 
 
 @jit

@@ -11,17 +11,7 @@ from surffollow.forecast.terrain.terrain_buffer import store_ground
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
-SETTLING_NS = 60_000_000  # after a start or a loss the performance index waits until setpoints have acted
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
-
-
-@jit_inlined
-def blend_height(adaptive):
-    """Blended height at the point up to which the models are propagated [m]: h = Σ w_i h_i."""
-    h = 0.0
-    for i in range(N_MODELS):
-        h += adaptive.weights.weight[i] * adaptive.bank.height_m[i]
-    return h
 
 
 @jit_inlined
@@ -31,13 +21,13 @@ def blend_models(adaptive):
     σ² = Σ w_i (P_i + (h_i − h)²)
     """
     bank, weights, estimate = adaptive.bank, adaptive.weights, adaptive.estimate
-    h, s, spread, variance = blend_height(adaptive), 0.0, 0.0, 0.0
+    h, spread, variance = model_weights.blended(adaptive, bank.height_m), 0.0, 0.0
     for i in range(N_MODELS):
         e = bank.height_m[i] - h
-        s += weights.weight[i] * bank.slope[i]
         variance += weights.weight[i] * max(bank.p00[i], 0.0)
         spread += weights.weight[i] * e * e
-    estimate.height_m, estimate.slope, estimate.sigma_m = h, s, math.sqrt(variance + spread)
+    estimate.height_m, estimate.slope = h, model_weights.blended(adaptive, bank.slope)
+    estimate.sigma_m = math.sqrt(variance + spread)
     estimate.gain = variance / max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2  # just after an update
 
 
@@ -70,7 +60,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = t_ns
-    estimate.settle_ns = t_ns + SETTLING_NS
+    estimate.settle_ns = t_ns + 60_000_000  # the performance index waits until setpoints have acted
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
     store_ground(adaptive, estimate.arc_length_m, h_m)
     blend_models(adaptive)
@@ -173,7 +163,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     moved_m = max(travel, GROUND_SPEED_MPS * dt)
     way = moved_m if rests else travel
     model_bank.propagate_bank(bank, way, moved_m)
-    estimate.height_m = blend_height(adaptive)
+    estimate.height_m = model_weights.blended(adaptive, bank.height_m)
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
     steepest = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)

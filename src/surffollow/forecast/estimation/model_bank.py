@@ -19,11 +19,10 @@ from typing import Any
 import numpy as np
 
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
 SLOPE, CURVE, WAVE = 0, 1, 2
 BAND = 2.0**0.25  # a wave number stays within this factor: waves are half an octave apart
-WAVE_VARIANCE_M2 = 1e-5  # of an amplitude at the start
 # rows of kind, scale, noise of slope, curvature or a wave's amplitude, noise of height
 # slopes that decay over 1 km do not decay
 BANK: Any = np.array(
@@ -34,16 +33,19 @@ BANK: Any = np.array(
     + [(WAVE, 2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in 0.6 * BAND ** (-2.0 * np.arange(8))]
 )
 KIND = BANK[:, 0].astype(np.int64)
-N_SLOPES, WAVES = np.searchsorted(KIND, (CURVE, WAVE)).tolist()  # curves are between
-assert (len(BANK), WAVES) == (N_MODELS, N_LEADS)
+N_SLOPES = int(np.searchsorted(KIND, CURVE))  # curves are from there to the waves
+assert (len(BANK), int(np.searchsorted(KIND, WAVE))) == (N_MODELS, WAVES)
 SCALE = BANK[:, 1].copy()  # length of decay [m]; of a wave the middle of its band [1/m]
 DECAY = np.where(KIND == SLOPE, 1.0 / SCALE, 0.0)  # 1/λ [1/m]
-# spectral densities over arc length; the noise of a wave's amplitude is one of its slope
-HEIGHT_NOISE_DENSITY = BANK[:, 3] ** 2
-SLOPE_NOISE_DENSITY = np.choose(KIND, (1.0, 0.0, 2.0 * SCALE**2)) * BANK[:, 2] ** 2
-CURVATURE_NOISE_DENSITY = np.where(KIND == CURVE, BANK[:, 2] ** 2, 0.0)
-INITIAL_SLOPE_VARIANCE = np.choose(KIND, (0.01 * (BANK[:, 2] > 0.0), 0.01, SCALE**2 * WAVE_VARIANCE_M2))
-INITIAL_CURVATURE_VARIANCE = np.choose(KIND, (0.0, 1.0, SCALE**4 * WAVE_VARIANCE_M2))
+# spectral densities of height, slope, curvature over arc length; a wave's amplitude has noise of its slope
+NOISE_DENSITY = np.zeros((3, N_MODELS))
+NOISE_DENSITY[0] = BANK[:, 3] ** 2
+NOISE_DENSITY[1] = np.choose(KIND, (1.0, 0.0, 2.0 * SCALE**2)) * BANK[:, 2] ** 2
+NOISE_DENSITY[2] = np.where(KIND == CURVE, BANK[:, 2] ** 2, 0.0)
+# variances of slope and curvature at the start; a wave's amplitude has one of 1e-5 m²
+INITIAL_VARIANCE = np.zeros((2, N_MODELS))
+INITIAL_VARIANCE[0] = np.choose(KIND, (0.01 * (BANK[:, 2] > 0.0), 0.01, SCALE**2 * 1e-5))
+INITIAL_VARIANCE[1] = np.choose(KIND, (0.0, 1.0, SCALE**4 * 1e-5))
 
 
 @jit
@@ -52,7 +54,7 @@ def reset_bank(bank, h_m, variance_m2):
     for i in range(N_MODELS):
         bank.height_m[i], bank.slope[i], bank.curvature[i] = h_m, 0.0, 0.0
         bank.p00[i], bank.p01[i], bank.p02[i], bank.p12[i] = variance_m2, 0.0, 0.0, 0.0
-        bank.p11[i], bank.p22[i] = INITIAL_SLOPE_VARIANCE[i], INITIAL_CURVATURE_VARIANCE[i]
+        bank.p11[i], bank.p22[i] = INITIAL_VARIANCE[0, i], INITIAL_VARIANCE[1, i]
         if not bank.wave_number[i] * BAND >= SCALE[i]:  # not known yet; else it stays
             bank.wave_number[i] = SCALE[i]
 
@@ -107,8 +109,8 @@ def propagate_bank(bank, way_m, d):
         a1, a2 = p01 + f01 * p11 + f02 * p12, p02 + f01 * p12 + f02 * p22
         b1, b2 = f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
         c1, c2 = f21 * p11 + f22 * p12, f21 * p12 + f22 * p22
-        qs, qc = SLOPE_NOISE_DENSITY[i], CURVATURE_NOISE_DENSITY[i]
-        bank.p00[i] += f01 * (p01 + a1) + f02 * (p02 + a2) + HEIGHT_NOISE_DENSITY[i] * d + qs * d3
+        qs, qc = NOISE_DENSITY[1, i], NOISE_DENSITY[2, i]
+        bank.p00[i] += f01 * (p01 + a1) + f02 * (p02 + a2) + NOISE_DENSITY[0, i] * d + qs * d3
         bank.p01[i], bank.p02[i] = f11 * a1 + f12 * a2 + qs * d2, f21 * a1 + f22 * a2
         bank.p11[i] = f11 * b1 + f12 * b2 + qs * d + qc * d3
         bank.p12[i] = f21 * b1 + f22 * b2 + qc * d2
@@ -169,8 +171,8 @@ def turn_bank(bank, cosine):
     for i in range(N_MODELS):
         bank.slope[i], bank.curvature[i] = c * bank.slope[i], c2 * bank.curvature[i]
         bank.p01[i], bank.p02[i], bank.p12[i] = c * bank.p01[i], c2 * bank.p02[i], c * c2 * bank.p12[i]
-        bank.p11[i] = c2 * bank.p11[i] + (1.0 - c2) * INITIAL_SLOPE_VARIANCE[i]
-        bank.p22[i] = c2 * c2 * bank.p22[i] + (1.0 - c2 * c2) * INITIAL_CURVATURE_VARIANCE[i]
+        bank.p11[i] = c2 * bank.p11[i] + (1.0 - c2) * INITIAL_VARIANCE[0, i]
+        bank.p22[i] = c2 * c2 * bank.p22[i] + (1.0 - c2 * c2) * INITIAL_VARIANCE[1, i]
 
 
 @jit
@@ -178,7 +180,7 @@ def begin_path(bank, slope):
     """Begin another path at the same height: slopes and curvatures as uncertain as at a start."""
     turn_bank(bank, 0.0)
     for i in range(WAVES):
-        bank.slope[i] = slope if INITIAL_SLOPE_VARIANCE[i] > 0.0 else 0.0
+        bank.slope[i] = slope if INITIAL_VARIANCE[0, i] > 0.0 else 0.0
 
 
 @jit_inlined

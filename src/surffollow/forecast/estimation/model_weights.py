@@ -7,20 +7,20 @@ subtracted, and penalties for effort and chance are added.
 
 import math
 
-import numpy as np
-
 from surffollow.forecast.estimation import model_bank, setpoint_lead
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.forecast.sensing.kinematics import path_speed
-from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
+from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
-WEIGHT_TIME_CONSTANT_S = 0.02  # of the weights once the index has its full power
-# per kind of model: a wave fits part of any noise for a while, a curve a smaller part
-CHANCE_PENALTY = np.array([0.0, 1.0, 8.0])[model_bank.KIND]
-# power of the effort: on rough ground the smoother of two equal models is better, and during
-# burn-in a model that follows the noise may fit by chance
-ROUGH_EFFORT_POWER, BURN_IN_EFFORT_POWER = 0.8, 6.0
+
+@jit_inlined
+def blended(adaptive, values):
+    """Blend of the models' values: Σ w_i x_i."""
+    total = 0.0
+    for i in range(N_MODELS):
+        total += adaptive.weights.weight[i] * values[i]
+    return total
 
 
 @jit
@@ -44,7 +44,7 @@ def update_index(params, adaptive, travel_m, dt_s, target_m):
     g = max(1.0 - math.exp(-rate / params.long_factor), burn_in_rate)
     position_m, left_out = adaptive.shadow.position_m, adaptive.lead.left_out
     for i in range(N_MODELS):
-        without_lead_m = position_m[N_MODELS + i] if i < N_LEADS else position_m[i]
+        without_lead_m = position_m[N_MODELS + i] if i < WAVES else position_m[i]
         e = position_m[i] - left_out[i] * (position_m[i] - without_lead_m) - target_m
         weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
@@ -76,7 +76,9 @@ def compute_costs(params, adaptive):
     s = min(1.4 * noise_m * noise_m, least_j) / least_j if least_j > 0.0 else 1.0
     alpha, p_l = weights.scored / FULL_POWER_SAMPLES, params.long_power
     p_j = p_l + (params.score_power - p_l) * (s * s * alpha * alpha)
-    p_e = ROUGH_EFFORT_POWER * ((1.0 - s) * (1.0 - s)) + BURN_IN_EFFORT_POWER * s * s * (1.0 - alpha)
+    # on rough ground the smoother of two equal models is better, and during burn-in a model that follows the
+    # noise may fit by chance
+    p_e = 0.8 * ((1.0 - s) * (1.0 - s)) + 6.0 * s * s * (1.0 - alpha)
     noise_j = params.noise_share * min(noise_m * noise_m, least_j)
     noise_l = params.noise_share * min(noise_m * noise_m, least_l)
     floor = params.score_floor_m * params.score_floor_m
@@ -84,9 +86,11 @@ def compute_costs(params, adaptive):
     for i in range(N_MODELS):
         c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
-        c += p_e * shadow.log_effort[i] + s * s * CHANCE_PENALTY[i]
+        # a wave fits part of any noise for a while, a curve a smaller part
+        chance = 8.0 if i >= WAVES else 1.0 if i >= model_bank.N_SLOPES else 0.0
+        c += p_e * shadow.log_effort[i] + s * s * chance
         # phase of a wave between two samples: from π on it is an alias of a longer one
-        is_alias = i >= model_bank.WAVES and model_bank.SCALE[i] * spacing_m > 2.0 * math.pi / 3.0
+        is_alias = i >= WAVES and model_bank.SCALE[i] * spacing_m > 2.0 * math.pi / 3.0
         weights.cost[i] = math.inf if is_alias else c
 
 
@@ -106,7 +110,7 @@ def update_weights(params, adaptive, dt_s):
         weights.cost[i] = math.exp(least - weights.cost[i])
         total += weights.cost[i]
     alpha = weights.scored / FULL_POWER_SAMPLES
-    rate = 1.0 - math.exp(-dt_s / (WEIGHT_TIME_CONSTANT_S * alpha))
+    rate = 1.0 - math.exp(-dt_s / (0.02 * alpha))  # quicker while little was scored
     for i in range(N_MODELS):
         weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
     weights.waiting_s = 0.0

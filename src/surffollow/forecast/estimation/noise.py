@@ -20,8 +20,7 @@ def update_noise(adaptive, h_m):
         step = rate * max(noise.median_m, 1e-5)
         noise.median_m = max(noise.median_m + (step if e > noise.median_m else -step), 0.0)
         noise.sigma_m = MAD_TO_SIGMA * noise.median_m
-    noise.recent_m[1] = noise.recent_m[0]
-    noise.recent_m[0] = h_m
+    noise.recent_m[0], noise.recent_m[1] = h_m, noise.recent_m[0]
 
 
 @jit

@@ -14,7 +14,7 @@ Waves keep all of their lead: they are known ahead, and with less of it a wrong 
 """
 
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
 
 @jit
@@ -29,10 +29,10 @@ def update_lead(params, adaptive, recent_rate, longer_rate, target_m):
     """
     lead, position_m = adaptive.lead, adaptive.shadow.position_m
     floor_m2 = params.score_floor_m * params.score_floor_m  # a lead without an effect stays
-    for i in range(N_LEADS):
+    for i in range(WAVES):
         error_m, effect_m = position_m[i] - target_m, position_m[i] - position_m[N_MODELS + i]
         lead.left_out[i] = 1.0
-        for k, rate in ((i, recent_rate), (N_LEADS + i, longer_rate)):
+        for k, rate in ((i, recent_rate), (WAVES + i, longer_rate)):
             lead.excess_m2[k] += rate * (error_m * effect_m - lead.excess_m2[k])
             lead.effect_m2[k] += rate * (effect_m * effect_m - lead.effect_m2[k])
             part = lead.excess_m2[k] / (lead.effect_m2[k] + floor_m2)

@@ -1,6 +1,7 @@
 """The paper's forecast: slope, extrapolation, hysteresis (§3.2.4), on top of intervals and ranges."""
 
 from surffollow.forecast.paper.intervals import add_point, cut_ranges, range_slope
+from surffollow.forecast.pose import newest_pose
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import POINTS, POSES
 
@@ -23,13 +24,10 @@ def average_point(params, paper, sense, channel, pose_t_ns, point):
     channel 0 speed and ΔH begin anew, too: neither spans it.
     """
     if paper.point_losses[channel] != sense.losses[channel]:
-        paper.point_losses[channel] = sense.losses[channel]
-        paper.point_count[channel] = 0
+        paper.point_losses[channel], paper.point_count[channel] = sense.losses[channel], 0
         if channel == 0:
-            paper.speed_pose = 0
-            paper.reading_t_ns = 0
-    n = paper.point_count[channel]
-    base = channel * POINTS * 3
+            paper.speed_pose = paper.reading_t_ns = 0
+    n, base = paper.point_count[channel], channel * POINTS * 3
     slot = base + (n & (POINTS - 1)) * 3
     for i in range(3):
         paper.point_m[slot + i] = point[i]
@@ -76,8 +74,7 @@ def measure_speed(params, paper, sense):
     if paper.speed_pose > 0 and t_ns > paper.speed_t_ns:
         dx, dy = x_m - paper.speed_x_m, y_m - paper.speed_y_m
         paper.speed_mps = (dx * dx + dy * dy) ** 0.5 / ((t_ns - paper.speed_t_ns) * 1e-9)
-    paper.speed_x_m, paper.speed_y_m = x_m, y_m
-    paper.speed_t_ns = t_ns
+    paper.speed_x_m, paper.speed_y_m, paper.speed_t_ns = x_m, y_m, t_ns
     paper.speed_pose = sense.pose_count
 
 
@@ -95,7 +92,7 @@ def paper_update(params, paper, sense):
 @jit_inlined
 def note_place(paper, sense):
     """Where the newest pose is when a reading counts, and the one before: they tell the heading."""
-    slot, previous = 7 * ((sense.pose_count - 1) & (POSES - 1)), 7 * ((sense.pose_count - 2) & (POSES - 1))
+    slot, previous = 7 * newest_pose(sense), 7 * ((sense.pose_count - 2) & (POSES - 1))
     paper.reading_x_m, paper.reading_y_m = sense.pose[slot], sense.pose[slot + 1]
     paper.before_x_m, paper.before_y_m = paper.reading_x_m, paper.reading_y_m
     if sense.pose_count > 1:
@@ -113,7 +110,7 @@ def distance_since_reading(params, paper, sense, t_ns):
     params, paper, sense : records of `Params`, `PaperState`, `SenseState`
     t_ns : int64  the cycle's time
     """
-    slot = (sense.pose_count - 1) & (POSES - 1)
+    slot = newest_pose(sense)
     dx, dy = sense.pose[7 * slot] - paper.reading_x_m, sense.pose[7 * slot + 1] - paper.reading_y_m
     ux, uy = paper.reading_x_m - paper.before_x_m, paper.reading_y_m - paper.before_y_m
     heading_m = (ux * ux + uy * uy) ** 0.5
@@ -122,7 +119,7 @@ def distance_since_reading(params, paper, sense, t_ns):
 
 
 @jit_inlined
-def paper_forecast(params, paper, t_ns, fresh, range_m, reading_z_m, sensor_z_m, max_distance_m):
+def paper_forecast(params, paper, sense, t_ns, fresh, reading_z_m, sensor_z_m, max_distance_m):
     """ΔH since the previous reading, and desired minus previous actual stand-off.
 
     The previous stand-off is carried on by the tool's own vertical motion since. A fresh reading becomes
@@ -131,22 +128,21 @@ def paper_forecast(params, paper, t_ns, fresh, range_m, reading_z_m, sensor_z_m,
 
     Parameters
     ----------
-    params, paper : records of `Params`, `PaperState` (updated)
+    params, paper, sense : records of `Params`, `PaperState` (updated), `SenseState`
     t_ns : int64                       the cycle's time
-    fresh : int                        1: `range_m` is a new reading of channel 0
-    range_m, reading_z_m : float64     that reading, and the sensor's height in the pose it was made with
-    sensor_z_m : float64               the sensor's height in the newest pose [m]
+    fresh : int                        1: channel 0 has a new reading
+    reading_z_m, sensor_z_m : float64  the sensor's height in the pose of that, and in the newest pose [m]
     max_distance_m : float64           the tool has gone no farther since the previous reading; inf: not known
 
     Returns
     -------
     delta_h_m, error_m : float64       their sum is the demand before limits and hysteresis
     """
+    range_m = sense.range_m[0]
+    if fresh == 0 and paper.reading_t_ns == 0:
+        return 0.0, 0.0
     first = paper.reading_t_ns == 0 or t_ns - paper.reading_t_ns > params.loss_timeout_ns
-    if fresh == 0:
-        if paper.reading_t_ns == 0:
-            return 0.0, 0.0
-    elif first:
+    if fresh != 0 and first:
         paper.reading_t_ns, paper.reading_m, paper.reading_z_m = t_ns, range_m, reading_z_m
     since_s = (t_ns - paper.reading_t_ns) * 1e-9
     delta_h = paper.slope * paper.speed_mps * since_s
@@ -155,6 +151,7 @@ def paper_forecast(params, paper, t_ns, fresh, range_m, reading_z_m, sensor_z_m,
     error = params.offset_m - (paper.reading_m + (sensor_z_m - paper.reading_z_m))
     if fresh != 0:
         paper.reading_t_ns, paper.reading_m, paper.reading_z_m = t_ns, range_m, reading_z_m
+        note_place(paper, sense)
     return delta_h, error
 
 

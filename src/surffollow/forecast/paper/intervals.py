@@ -9,8 +9,6 @@ two ranges is summed once, when an interval opens.
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import INTERVALS
 
-_MASK = INTERVALS - 1
-
 
 @jit_inlined
 def open_interval(paper, x_m, y_m, h_m):
@@ -21,10 +19,8 @@ def open_interval(paper, x_m, y_m, h_m):
     paper : record of `PaperState`  updated
     x_m, y_m, h_m : float64         target point, world frame [m]
     """
-    slot = paper.interval_count & _MASK
-    paper.interval_x_m[slot] = x_m
-    paper.interval_y_m[slot] = y_m
-    paper.interval_h_m[slot] = h_m
+    slot = paper.interval_count & (INTERVALS - 1)
+    paper.interval_x_m[slot], paper.interval_y_m[slot], paper.interval_h_m[slot] = x_m, y_m, h_m
     paper.interval_n[slot] = 1
     paper.interval_count += 1
 
@@ -53,7 +49,7 @@ def add_point(paper, x_m, y_m, h_m, interval_size_m):
     if paper.interval_count == 0:
         open_interval(paper, x_m, y_m, h_m)
         return 1
-    slot = (paper.interval_count - 1) & _MASK
+    slot = (paper.interval_count - 1) & (INTERVALS - 1)
     cx, cy, ch = paper.interval_x_m[slot], paper.interval_y_m[slot], paper.interval_h_m[slot]
     dx, dy = x_m - cx, y_m - cy
     distance = (dx * dx + dy * dy) ** 0.5
@@ -69,7 +65,7 @@ def add_point(paper, x_m, y_m, h_m, interval_size_m):
     elif distance > interval_size_m:
         open_interval(paper, x_m, y_m, h_m)
         return 1
-    slot = (paper.interval_count - 1) & _MASK
+    slot = (paper.interval_count - 1) & (INTERVALS - 1)
     n = paper.interval_n[slot]
     paper.interval_h_m[slot] = (paper.interval_h_m[slot] * n + h_m) / (n + 1)
     paper.interval_n[slot] = n + 1
@@ -86,25 +82,21 @@ def cut_ranges(paper, range_size):
     its counterpart in the current one. A chord would vanish in a U-turn and make the slope grow without
     limit; along the path a slope is never steeper than the ground between the intervals.
     """
-    paper.range_cut = range_size
-    count = paper.interval_count
-    if count < 2 * range_size:
+    paper.range_cut, first = range_size, paper.interval_count - 2 * range_size
+    if first < 0:
         return
-    first = count - 2 * range_size
     rest, prev, run = 0.0, 0.0, 0.0
     for k in range(2 * range_size - 1):
-        a, b = (first + k) & _MASK, (first + k + 1) & _MASK
+        a, b = (first + k) & (INTERVALS - 1), (first + k + 1) & (INTERVALS - 1)
         if k < range_size:
             prev += paper.interval_h_m[a]
         else:
             rest += paper.interval_h_m[a]
-        dx = paper.interval_x_m[b] - paper.interval_x_m[a]
-        dy = paper.interval_y_m[b] - paper.interval_y_m[a]
+        dx, dy = paper.interval_x_m[b] - paper.interval_x_m[a], paper.interval_y_m[b] - paper.interval_y_m[a]
         # this piece lies between so many pairs of counterparts
         run += min(k + 1, 2 * range_size - 1 - k) * (dx * dx + dy * dy) ** 0.5
     paper.rest_h_m = rest
-    paper.range_prev_h_m = prev / range_size
-    paper.range_gap_m = run / range_size
+    paper.range_prev_h_m, paper.range_gap_m = prev / range_size, run / range_size
 
 
 @jit_inlined
@@ -113,5 +105,5 @@ def range_slope(paper, range_size):
     count = paper.interval_count
     if count < 2 * range_size or paper.range_gap_m <= 0.0:
         return 0.0
-    current = (paper.rest_h_m + paper.interval_h_m[(count - 1) & _MASK]) / range_size
+    current = (paper.rest_h_m + paper.interval_h_m[(count - 1) & (INTERVALS - 1)]) / range_size
     return (current - paper.range_prev_h_m) / paper.range_gap_m

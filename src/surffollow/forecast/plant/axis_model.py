@@ -8,7 +8,6 @@ MAX_MODEL_ERROR_M = 5e-4  # of an axis model: beyond, another controller leads t
 PERIOD_S = 0.01  # of the plan: one controller period
 AXIS_STEP_NS = 2_000_000  # of all axis models
 MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
-AXIS_STEPS = round(PERIOD_S * 1e9) // AXIS_STEP_NS  # in a controller period
 
 
 @jit
@@ -58,9 +57,9 @@ def position_ahead(params, tau_s, z_m, v_mps, target_m, hold_s):
     target_m : float64    the setpoint [m]
     hold_s : float64      the time [s]; behind it the velocity is constant
     """
-    v_max, a_max, dt = params.plant_v_max_mps, params.plant_a_max_mps2, hold_s / AXIS_STEPS
-    for _ in range(AXIS_STEPS):
-        z_m, v_mps = step_axis(tau_s, v_max, a_max, z_m, v_mps, target_m, dt)
+    v_max, a_max, steps = params.plant_v_max_mps, params.plant_a_max_mps2, int(PERIOD_S * 1e9) // AXIS_STEP_NS
+    for _ in range(steps):
+        z_m, v_mps = step_axis(tau_s, v_max, a_max, z_m, v_mps, target_m, hold_s / steps)
     return z_m + v_mps * PERIOD_S
 
 

@@ -1,13 +1,6 @@
 """Health of the ranging: drop-outs, health states with hysteresis, latched faults."""
 
-from surffollow.forecast.attitude.rotation_response import has_failed
-from surffollow.forecast.quantities import (
-    CONFIRMATION_SAMPLES,
-    LONG_GAP_NS,
-    MAX_GAP_NS,
-    PAUSE_NS,
-    USUAL_SAMPLES,
-)
+from surffollow.forecast import quantities
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
@@ -15,24 +8,23 @@ from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.forecast.sensing.unseen_ground import uncertain_clearance
 from surffollow.shm import layout_adaptive as layout
 from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
-MAX_UNCERTAIN = 0.35  # of the stand-off: no demand is valid when more of the clearance may be lost unseen
-WINDOW_EDGE_M = 0.003  # a loss so near an end of the window, as the last sample or the next, is OUT_OF_RANGE
 
 
 @jit
 def dropout_tolerance_s(prediction):
     """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
-    return min(DROPOUT_INTERVALS * prediction.interval_s, LONG_GAP_NS * 1e-9)
+    return min(DROPOUT_INTERVALS * prediction.interval_s, quantities.LONG_GAP_NS * 1e-9)
 
 
 @jit
 def is_missing(adaptive, since_ns):
     """Whether a sample after this time is missing, beyond the usual delay and tolerance."""
-    tolerance_ns = max(MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
+    tolerance_ns = max(quantities.MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
     return adaptive.clock.now_ns - since_ns > adaptive.latency.delay_s * 1e9 + tolerance_ns
 
 
@@ -59,7 +51,8 @@ def is_lost(params, adaptive):
     estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
     if estimate.samples == 0 or (stuck and silent):
         return True
-    if (stuck or silent) and uncertain_clearance(adaptive) > MAX_UNCERTAIN * params.offset_m:
+    # no demand is valid when more than this share of the stand-off may be lost unseen
+    if (stuck or silent) and uncertain_clearance(adaptive) > 0.35 * params.offset_m:
         return True
     return adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
 
@@ -72,7 +65,7 @@ def observe_channels(params, health, sense, now_ns):
             continue
         gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
         if usual_ns != 0:
-            health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // USUAL_SAMPLES
+            health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // quantities.USUAL_SAMPLES
         elif health.reading_ns[c] != 0:
             health.interval_ns[c] = gap_ns
         health.reading_ns[c] = now_ns
@@ -87,19 +80,19 @@ def silent_channels(params, health, now_ns):
     silent = 0
     if params.n_channels > 1:
         for c in range(params.n_channels):
-            tolerance_ns = min(DROPOUT_INTERVALS * health.interval_ns[c], LONG_GAP_NS)
-            if now_ns - health.reading_ns[c] > max(MAX_GAP_NS, tolerance_ns):
+            tolerance_ns = min(DROPOUT_INTERVALS * health.interval_ns[c], quantities.LONG_GAP_NS)
+            if now_ns - health.reading_ns[c] > max(quantities.MAX_GAP_NS, tolerance_ns):
                 silent |= 1 << c
     return silent
 
 
 @jit
 def is_outside(params, adaptive):
-    """Whether the last sample or the next one is near an end of the window."""
+    """Whether the last sample or the next one is within 3 mm of an end of the window."""
     hold, prediction = adaptive.hold, adaptive.prediction
     next_m = predict_range(prediction, prediction.interval_s)
     nearest_m, farthest_m = min(hold.range_m, next_m), max(hold.range_m, next_m)
-    return min(nearest_m - params.range_min_m, params.range_max_m - farthest_m) < WINDOW_EDGE_M
+    return min(nearest_m - params.range_min_m, params.range_max_m - farthest_m) < 0.003
 
 
 @jit_inlined
@@ -115,9 +108,8 @@ def present_health(params, adaptive, silent):
     -------
     int, int  numbers of HEALTH_NAMES and REASON_NAMES
     """
-    samples = adaptive.estimate.samples
-    silent_bits = silent << layout.REASON_CHANNELS
-    if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < USUAL_SAMPLES:
+    samples, silent_bits = adaptive.estimate.samples, silent << layout.REASON_CHANNELS
+    if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < quantities.USUAL_SAMPLES:
         return layout.FAULT, layout.REASON_NOT_FINITE
     if is_stuck(adaptive):
         return layout.STUCK, layout.REASON_STUCK
@@ -127,24 +119,19 @@ def present_health(params, adaptive, silent):
         return layout.DROPOUT, layout.REASON_NO_READING | silent_bits
     if is_lost(params, adaptive):
         return layout.DROPOUT, layout.REASON_LOST | silent_bits
-    reason = layout.REASON_NONE
-    if adaptive.hold.shift_ns > 0:
-        reason = layout.REASON_TIMESTAMPS
-    elif has_jumped(adaptive.kinematics, adaptive.clock.now_ns):
-        reason = layout.REASON_POSE_JUMP
-    elif adaptive.beams.inconsistent != 0:
-        reason = layout.REASON_SENSORS
-    elif has_failed(adaptive.rotation):
-        reason = layout.REASON_ROTATION
-    elif silent != 0:
-        reason = layout.REASON_SILENT | silent_bits
-    elif is_late(params, adaptive):
-        reason = layout.REASON_LATE
-    elif adaptive.response.unused != 0:
-        reason = layout.REASON_REPEATED
-    elif adaptive.gate.pending > 0:
-        reason = layout.REASON_PENDING
-    return layout.OK if reason == layout.REASON_NONE else layout.SUSPECT, reason
+    for found, reason in (
+        (adaptive.hold.shift_ns > 0, layout.REASON_TIMESTAMPS),
+        (has_jumped(adaptive.kinematics, adaptive.clock.now_ns), layout.REASON_POSE_JUMP),
+        (adaptive.beams.inconsistent != 0, layout.REASON_SENSORS),
+        (adaptive.rotation.phase == ROTATION_FAILED, layout.REASON_ROTATION),
+        (silent != 0, layout.REASON_SILENT | silent_bits),
+        (is_late(params, adaptive), layout.REASON_LATE),
+        (adaptive.response.unused != 0, layout.REASON_REPEATED),
+        (adaptive.gate.pending > 0, layout.REASON_PENDING),
+    ):
+        if found:
+            return layout.SUSPECT, reason
+    return layout.OK, layout.REASON_NONE
 
 
 @jit_inlined
@@ -155,7 +142,7 @@ def update_health(params, adaptive, sense):
     state, reason = present_health(params, adaptive, silent_channels(params, health, now_ns))
     if state != health.candidate:
         health.candidate, health.since_ns = state, now_ns
-    wait_ns = ENTER_NS if state > health.state else PAUSE_NS
+    wait_ns = ENTER_NS if state > health.state else quantities.PAUSE_NS
     if health.state < layout.DROPOUT and is_lost(params, adaptive):
         wait_ns = 0  # there is no demand: the reason is published at once
     if state == health.state or now_ns - health.since_ns >= wait_ns:
@@ -166,7 +153,7 @@ def update_health(params, adaptive, sense):
 def count_close(health, close):
     """Count samples in a row near the fold-back; whether they are enough to confirm it."""
     health.close_count = health.close_count + 1 if close else 0
-    return health.close_count >= CONFIRMATION_SAMPLES
+    return health.close_count >= quantities.CONFIRMATION_SAMPLES
 
 
 @jit

@@ -2,7 +2,7 @@
 
 import math
 
-from surffollow.forecast.pose import pose_at
+from surffollow.forecast.pose import newest_pose, pose_at
 from surffollow.forecast.quantities import APART_M, GATE_SCALES, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
@@ -21,9 +21,8 @@ def oldest_pose_within(sense, window_ns, first_ns):
     Reports from before a long gap, or before the time `first_ns`, do not count; the newest one may be
     the only one.
     """
-    k = sense.pose_count - 1
-    oldest = max(0, k - POSES + 1)
-    t = sense.pose_t_ns[k & (POSES - 1)]
+    k, oldest = sense.pose_count - 1, max(0, sense.pose_count - POSES)
+    t = sense.pose_t_ns[newest_pose(sense)]
     while k > oldest:
         at_ns = sense.pose_t_ns[k & (POSES - 1)]
         if at_ns == first_ns or at_ns <= t - window_ns:
@@ -79,7 +78,7 @@ def note_jump(params, kinematics, sense):
     climbed = up > most_up
     if not climbed and aside <= most_aside:
         return False
-    kinematics.jump_ns = sense.pose_t_ns[last & (POSES - 1)]
+    kinematics.jump_ns = sense.pose_t_ns[newest_pose(sense)]
     if climbed:
         kinematics.climb_jump_ns = kinematics.jump_ns
     return True
@@ -99,12 +98,11 @@ def update_kinematics(params, kinematics, sense):
     jumped = 0 < kinematics.pose_count < sense.pose_count and note_jump(params, kinematics, sense)
     kinematics.pose_count = sense.pose_count
     last, jump = sense.pose_count - 1, kinematics.jump_ns
-    if sense.pose_t_ns[last & (POSES - 1)] == jump:
+    if sense.pose_t_ns[newest_pose(sense)] == jump:
         return jumped  # the velocity is that before the jump
     first = oldest_pose_within(sense, PAUSE_NS, jump)
-    vx, vy, _, _ = velocity_between(sense, first, last)
-    kinematics.velocity_x_mps, kinematics.velocity_y_mps = vx, vy
-    kinematics.speed_mps = math.sqrt(vx**2 + vy**2)
+    kinematics.velocity_x_mps, kinematics.velocity_y_mps, _, _ = velocity_between(sense, first, last)
+    kinematics.speed_mps = math.sqrt(kinematics.velocity_x_mps**2 + kinematics.velocity_y_mps**2)
     near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump)
     _, _, kinematics.climb_mps, _ = velocity_between(sense, near, last)
     return jumped
@@ -139,7 +137,7 @@ def predict_pose(kinematics, sense, t_ns, pose):
     pose : (7,) float64  receives x y z [m], qx qy qz qw
     """
     pose_at(sense, t_ns, 1, pose)
-    late = t_ns - sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+    late = t_ns - sense.pose_t_ns[newest_pose(sense)]
     if late > 0:
         dt = min(late, MAX_GAP_NS) * 1e-9
         pose[0] += kinematics.velocity_x_mps * dt

@@ -9,13 +9,10 @@ used: there climb rate and terrain are correlated.
 import math
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.pose import pose_at
+from surffollow.forecast.pose import newest_pose, pose_at
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES, USUAL_SAMPLES
 from surffollow.forecast.sensing import clock, kinematics
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_follow import POSES
-
-MAX_CORRECTION_S = 0.1  # greater latencies have to be configured
 
 
 @jit
@@ -70,11 +67,12 @@ def update_correction(adaptive, adapt):
         # noise is left, or little of the change of height; otherwise the ground moved, or was not one spot
         left_m2 = n * residual * residual
         explained = left_m2 < latency.step_step or left_m2 < 0.1 * latency.height_height
-        if abs(delta_s) < MAX_CORRECTION_S and residual < 3.0 * noise + 0.5e-3 and explained:
+        most_s = 0.1  # greater latencies have to be configured
+        if abs(delta_s) < most_s and residual < 3.0 * noise + 0.5e-3 and explained:
             var = max(residual, noise) ** 2 / latency.climb_climb
             prior = 0.03**2  # variance of the latency before a rest [s²]
             corrected_s = latency.correction_s + prior / (prior + var) * delta_s
-            latency.correction_s = min(max(corrected_s, -MAX_CORRECTION_S), MAX_CORRECTION_S)
+            latency.correction_s = min(max(corrected_s, -most_s), most_s)
     reset_window(latency)
 
 
@@ -94,7 +92,7 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     latency = adaptive.latency
     near = latency.count == 0 or abs(h_m - latency.mean_height_m) <= 8e-3  # else a glitch
     if at_rest and near:
-        newest_ns = sense.pose_t_ns[(sense.pose_count - 1) & (POSES - 1)]
+        newest_ns = sense.pose_t_ns[newest_pose(sense)]
         end_ns = min(t_ns + kinematics.CLIMB_WINDOW_NS // 2, newest_ns)
         pose_at(sense, end_ns - kinematics.CLIMB_WINDOW_NS, 1, pose)
         z = pose[2]

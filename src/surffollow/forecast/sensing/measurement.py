@@ -8,14 +8,14 @@ import math
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
 from surffollow.forecast.estimation import adaptation, estimate, innovation_gate
-from surffollow.forecast.pose import footprint
+from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.forecast.sensing import clock, health, kinematics, latency_identification, response, standoff
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
 from surffollow.forecast.terrain import known_ground, preview
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_follow import POSES, RUN_FREEZE
+from surffollow.shm.layout_follow import RUN_FREEZE
 
 
 @jit_inlined
@@ -60,7 +60,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     travel = advance_path(params, adaptive, t, x, y, orients, pose)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense, orients)
     if not at_rest:
-        newest = 7 * ((sense.pose_count - 1) & (POSES - 1))
+        newest = 7 * newest_pose(sense)
         gap_x, gap_y = x - sense.pose[newest], y - sense.pose[newest + 1]
         ahead = kinematics.distance_along(adaptive.kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):

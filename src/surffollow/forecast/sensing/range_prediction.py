@@ -16,25 +16,25 @@ from surffollow.forecast.quantities import GATE_SCALES, MAX_GAP_NS
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 
-# time constants of level, trend, decay, mean and return, and the horizon at which the gain is learnt, in
-# usual intervals: a compromise between halves of a flight's log that does no harm to an echo sounder's
-LEVEL, TREND, DECAY = 0.36, 2.4, 10.0
-MEAN, RETURN, CHECK = 1000.0, 30.0, 15.0
-
 
 @jit
-def time_unit_s(prediction):
-    """Unit of the time constants [s]: the noise of intervals shorter than 4 τ averages out."""
-    return max(prediction.interval_s, 0.16)
+def time_constants_s(prediction):
+    """Unit of all time constants, and those of the decay and of the return [s].
+
+    The unit is the usual interval; the noise of intervals shorter than 4 τ averages out. The time constants
+    and the horizon at which the gain is learnt are a compromise between halves of a flight's log that does
+    no harm to an echo sounder's.
+    """
+    unit_s = max(prediction.interval_s, 0.16)
+    return unit_s, 10.0 * unit_s, 30.0 * unit_s
 
 
 @jit
 def forecast_parts(prediction, horizon_s):
     """Range at a horizon by the trend alone, and the whole return from the level by then [m]."""
-    unit_s = time_unit_s(prediction)
-    decay_s = DECAY * unit_s
+    _, decay_s, return_s = time_constants_s(prediction)
     lasts_s = decay_s * (1.0 - math.exp(-horizon_s / decay_s))  # integral of a damped unit rate
-    share = 1.0 - math.exp(-(horizon_s - lasts_s) / (RETURN * unit_s))
+    share = 1.0 - math.exp(-(horizon_s - lasts_s) / return_s)
     by_trend_m = prediction.level_m + prediction.trend_mps * lasts_s
     return by_trend_m, share * (prediction.mean_m - prediction.level_m)
 
@@ -77,18 +77,19 @@ def update_mean(prediction, dt):
     prediction : record of `Prediction` (updated)
     dt : float64  time since the range before [s]
     """
-    unit_s = time_unit_s(prediction)
-    prediction.mean_s = min(prediction.mean_s + dt, MEAN * unit_s)
+    unit_s, _, _ = time_constants_s(prediction)
+    longest_s, check_s = 1000.0 * unit_s, 15.0 * unit_s  # a mean is over so long; a forecast is for then
+    prediction.mean_s = min(prediction.mean_s + dt, longest_s)
     prediction.mean_m += (1.0 - math.exp(-dt / prediction.mean_s)) * (prediction.level_m - prediction.mean_m)
     if prediction.check_ns != 0:
         since_s = (prediction.t_ns - prediction.check_ns) * 1e-9
-        if since_s < CHECK * unit_s:
+        if since_s < check_s:
             return
-        weight, return_m = 1.0 - math.exp(-since_s / (MEAN * unit_s)), prediction.return_m
+        weight, return_m = 1.0 - math.exp(-since_s / longest_s), prediction.return_m
         missed_m = prediction.level_m - prediction.by_trend_m
         prediction.missed_m2 += weight * (missed_m * return_m - prediction.missed_m2)
         prediction.return_m2 += weight * (return_m**2 - prediction.return_m2)
-    prediction.by_trend_m, prediction.return_m = forecast_parts(prediction, CHECK * unit_s)
+    prediction.by_trend_m, prediction.return_m = forecast_parts(prediction, check_s)
     prediction.check_ns = prediction.t_ns
 
 
@@ -103,7 +104,7 @@ def update_prediction(prediction, t_ns, range_m):
         begin_mean(prediction, range_m)
         return
     prediction.interval_s = follow_usual(prediction.interval_s, dt)
-    unit_s = time_unit_s(prediction)
+    unit_s, decay_s, return_s = time_constants_s(prediction)
     expected_m = predict_range(prediction, dt)
     innovation = range_m - expected_m
     outlier = abs(innovation) > GATE_SCALES * prediction.scale_m > 0.0
@@ -113,11 +114,11 @@ def update_prediction(prediction, t_ns, range_m):
     prediction.rejected = 0
     prediction.scale_m = follow_usual(prediction.scale_m, 1.25 * abs(innovation))
     if not outlier:
-        expected_m += (1.0 - math.exp(-dt / (LEVEL * unit_s))) * innovation
+        expected_m += (1.0 - math.exp(-dt / (0.36 * unit_s))) * innovation
     rate_mps = (expected_m - prediction.level_m) / dt
-    back_mps = return_gain(prediction) * (prediction.mean_m - prediction.level_m) / (RETURN * unit_s)
-    prediction.trend_mps = back_mps + math.exp(-dt / (DECAY * unit_s)) * (prediction.trend_mps - back_mps)
-    prediction.trend_mps += (1.0 - math.exp(-dt / (TREND * unit_s))) * (rate_mps - prediction.trend_mps)
+    back_mps = return_gain(prediction) * (prediction.mean_m - prediction.level_m) / return_s
+    prediction.trend_mps = back_mps + math.exp(-dt / decay_s) * (prediction.trend_mps - back_mps)
+    prediction.trend_mps += (1.0 - math.exp(-dt / (2.4 * unit_s))) * (rate_mps - prediction.trend_mps)
     prediction.level_m, prediction.t_ns = range_m if outlier else expected_m, t_ns
     if outlier:
         begin_mean(prediction, range_m)

@@ -1,8 +1,7 @@
 """Point of the ground under the tool, and the desired height of the tool above it."""
 
-from surffollow.forecast.pose import rotate
+from surffollow.forecast.pose import newest_pose, to_world
 from surffollow.shm.jit import jit_inlined
-from surffollow.shm.layout_follow import POSES
 
 
 @jit_inlined
@@ -18,13 +17,13 @@ def axis_ground_point(params, pose, at):
     at : int                    index of the first number
     """
     m = params.tool_from_sensor
-    x, y, z = rotate(m[3], m[4], m[5], m[6], 0.0, 0.0, -params.offset_m)
+    x, y, z = to_world(m, 0, 0.0, 0.0, -params.offset_m)
     along_z = abs(z) >= abs(x) and abs(z) >= abs(y)
     along_x = not along_z and abs(x) >= abs(y)
     x = m[0] + x if along_x else 0.0
     y = 0.0 if along_x or along_z else m[1] + y
     z = m[2] + z if along_z else 0.0
-    return rotate(pose[at + 3], pose[at + 4], pose[at + 5], pose[at + 6], x, y, z)
+    return to_world(pose, at, x, y, z)
 
 
 @jit_inlined
@@ -36,10 +35,10 @@ def standoff_height(params, plane, sense, orients):
     params, plane, sense : records of `Params`, `Plane`, `SenseState`
     orients : bool  three or more sensors, and the tool is rotated to the surface normal
     """
-    pose, at = sense.pose, 7 * ((sense.pose_count - 1) & (POSES - 1))
+    pose, at = sense.pose, 7 * newest_pose(sense)
     if not orients:
         _, _, tip_z = axis_ground_point(params, pose, at)
         return -tip_z
-    tx, ty, tz = rotate(pose[at + 3], pose[at + 4], pose[at + 5], pose[at + 6], 0.0, 0.0, 1.0)
+    tx, ty, tz = to_world(pose, at, 0.0, 0.0, 1.0)
     along = tz - plane.slope_x * tx - plane.slope_y * ty  # (tool axis · normal) over the normal's z
     return (params.offset_m - params.tool_from_sensor[2]) * along

@@ -19,7 +19,6 @@ from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 
-ADMM_PENALTY = 60.0
 ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for corrections
 
 
@@ -37,12 +36,11 @@ def point_weight(k, known):
 @jit
 def factorise(plan, known, stiffness):
     """LDLᵀ of W + stiffness·DᵀD, for second differences D with known position and velocity at the begin."""
-    n = HORIZON
-    for k in range(n):
+    for k in range(HORIZON):
         # row k of DᵀD: differences b_k (centre k-1; b_0 is twice the first point), b_{k+1}, b_{k+2}
-        d = (4.0 if k == 0 else 1.0) + (4.0 if k + 1 < n else 0.0) + (1.0 if k + 2 < n else 0.0)
-        e = (-2.0 if k + 1 < n else 0.0) + (-2.0 if k + 2 < n else 0.0)
-        f = 1.0 if k + 2 < n else 0.0
+        d = (4.0 if k == 0 else 1.0) + (4.0 if k + 1 < HORIZON else 0.0) + (1.0 if k + 2 < HORIZON else 0.0)
+        e = (-2.0 if k + 1 < HORIZON else 0.0) + (-2.0 if k + 2 < HORIZON else 0.0)
+        f = 1.0 if k + 2 < HORIZON else 0.0
         d, e, f = point_weight(k, known) + stiffness * d, stiffness * e, stiffness * f
         if k >= 1:
             d -= plan.factor_1[k - 1] ** 2 * plan.factor_0[k - 1]
@@ -57,8 +55,7 @@ def factorise(plan, known, stiffness):
 @jit
 def solve(plan):
     """Solve with those factors, in place, for `plan.position_m`."""
-    n = HORIZON
-    z = plan.position_m
+    n, z = HORIZON, plan.position_m
     for k in range(n):
         if k >= 1:
             z[k] -= plan.factor_1[k - 1] * z[k - 1]
@@ -83,11 +80,10 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     z_m, v_mps : float64     position and velocity of the axis now
     standoff_m : float64     wanted height of the tool above the ground
     """
-    plan = adaptive.plan
-    n = HORIZON
+    n, plan, ground_m = HORIZON, adaptive.plan, adaptive.preview.ground_m
     limit = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
-    effort = params.plan_effort_s4 / PERIOD_S**4
-    stiffness = effort + ADMM_PENALTY
+    penalty = 60.0  # of ADMM
+    stiffness = params.plan_effort_s4 / PERIOD_S**4 + penalty
     factorise(plan, known, stiffness)
     begin = 2.0 * v_mps * PERIOD_S  # b_0 = 2 z_0 - 2 v T, relative to now
     for k in range(n - 1):
@@ -97,11 +93,9 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     for _ in range(25):  # convergence with a warm start is compared with a general solver in the tests
         for k in range(n):
             # point k is k + 1 periods from now
-            ground = adaptive.preview.ground_m[min(k + 1, n - 1)] + standoff_m - z_m
-            plan.position_m[k] = point_weight(k, known) * ground
-        for k in range(n):
+            plan.position_m[k] = point_weight(k, known) * (ground_m[min(k + 1, n - 1)] + standoff_m - z_m)
             # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
-            r = ADMM_PENALTY * (plan.acceleration_m[k] - plan.multiplier_m[k])
+            r = penalty * (plan.acceleration_m[k] - plan.multiplier_m[k])
             plan.position_m[k] += 2.0 * (r + stiffness * begin) if k == 0 else r
             if k >= 1:
                 plan.position_m[k - 1] -= 2.0 * r

@@ -3,21 +3,14 @@
 import math
 
 from surffollow.forecast import quantities
-from surffollow.forecast.estimation import innovation_gate, model_bank
+from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import health, measurement, unseen_ground
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_LEADS, N_MODELS
-
-DEADBAND_DECAY_S = 0.01  # time in which an excess of DEADBAND_SOFTNESS deadbands is halved
-DEADBAND_SOFTNESS = 2.5  # in deadbands
-HEIGHT_MARGIN_M = 1e-3  # of the change of height beyond what the steepest slope gives
-# of the travel since the newest sample of a slow sensor: valleys cost 17 instead of 3 mm of clearance with 0
-# (bench_hazards.py, "valley and slow"), a winch's error is 15 % greater with 1 (bench_scales.py)
-LEVEL_SHARE = 0.5
+from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
 
 @jit
@@ -49,22 +42,23 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     -------
     float64 [m], float64
     """
-    bank, blend, weights = adaptive.bank, adaptive.blend, adaptive.weights
+    bank, blend, sign = adaptive.bank, adaptive.blend, math.copysign(1.0, ahead_m)
     model_bank.extrapolate_bank(bank, ahead_m)
-    margin = HEIGHT_MARGIN_M + max_slope * (abs(ahead_m) + abs(lead_m))
+    margin = 1e-3 + max_slope * (abs(ahead_m) + abs(lead_m))
     unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
     if innovation_gate.is_slow(adaptive):
-        unseen_m = max(unseen_m, LEVEL_SHARE * ahead_m)
+        # with 0 valleys cost 17 instead of 3 mm of clearance (bench_hazards.py, "valley and slow"), with 1 a
+        # winch's error is 15 % greater (bench_scales.py)
+        unseen_m = max(unseen_m, 0.5 * ahead_m)
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
-    z, slope, sign = 0.0, 0.0, math.copysign(1.0, ahead_m)
     for i in range(N_MODELS):
         rise, left_out = bank.rise_m[i], adaptive.lead.left_out[i]
         change = rise + lead_m * bank.slope_ahead[i]
         growth = bank.slope_ahead[i] + (1.0 - left_out) * lead_m * bank.bend_ahead[i]
         growth = sign * math.copysign(max_slope, change) if abs(change) > margin else growth
         change, rise = min(max(change, -margin), margin), min(max(rise, -margin), margin)
-        fall = 1.0 - level_share if i < model_bank.WAVES else 1.0
+        fall = 1.0 - level_share if i < WAVES else 1.0
         growth *= fall if change < 0.0 else 1.0
         change *= fall if change < 0.0 else 1.0
         rise *= fall if rise < 0.0 else 1.0
@@ -72,12 +66,10 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         blend.model_m[i] = h + change - left_out * (change - rise)
         blend.model_slope[i] = growth
         blend.axis_m[i] = h + change
-        if i < N_LEADS:
+        if i < WAVES:
             blend.axis_m[N_MODELS + i] = h + rise
-    for i in range(N_MODELS):  # behind the loop above, which vectorises
-        z += weights.weight[i] * blend.model_m[i]
-        slope += weights.weight[i] * blend.model_slope[i]
-    return z, slope
+    # behind the loop above, which vectorises
+    return model_weights.blended(adaptive, blend.model_m), model_weights.blended(adaptive, blend.model_slope)
 
 
 @jit_inlined
@@ -142,8 +134,8 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
 def filter_setpoint(params, adaptive, target_m):
     """Filter the blend: it continues at the predicted rate while it is within the deadband.
 
-    Beyond the deadband b the excess x decays by dx/dt = −x² / (DEADBAND_SOFTNESS · b · DEADBAND_DECAY_S). The
-    result does not depend on the length of the cycle.
+    Beyond the deadband b the excess x decays by dx/dt = −x² / (2.5 b · 10 ms): one of 2.5 b is halved in
+    10 ms. The result does not depend on the length of the cycle.
     """
     clock, adaptation, blend = adaptive.clock, adaptive.adaptation, adaptive.blend
     dt = (clock.now_ns - blend.filtered_ns) * 1e-9
@@ -158,8 +150,8 @@ def filter_setpoint(params, adaptive, target_m):
     deadband_m = params.deadband_share * adaptation.permitted_variance_m
     excess = abs(e) - deadband_m
     if excess > 0.0:
-        softness = DEADBAND_SOFTNESS * deadband_m
-        remaining = deadband_m + excess * softness / (softness + excess * dt / DEADBAND_DECAY_S)
+        softness = 2.5 * deadband_m
+        remaining = deadband_m + excess * softness / (softness + excess * dt / 0.01)
         blend.filtered_m = target_m - math.copysign(remaining, e)
     return blend.filtered_m
 
@@ -184,9 +176,8 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(params, adaptive.response, standoff_m)
-    # ground that is not seen may rise as steeply as it did before
-    unseen = (
-        tool_z_m + unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s) if stuck else -math.inf
-    )
-    tested = min(max(target_m, unseen, lowest), highest)
+    if stuck:  # ground that is not seen may rise as steeply as it did before
+        rise_m = unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s)
+        target_m = max(target_m, tool_z_m + rise_m)
+    tested = min(max(target_m, lowest), highest)
     return max(tested, no_descent, innovation_gate.withheld_setpoint(adaptive, standoff_m))

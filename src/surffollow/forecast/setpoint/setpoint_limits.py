@@ -12,10 +12,6 @@ import math
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, PAUSE_NS
 from surffollow.shm.jit import jit, jit_inlined
 
-MIN_INTERVAL_S = 5e-4  # shorter ones are ignored: their overshoot is small; also that of the first cycle
-VELOCITY_RATIO, ACCELERATION_RATIO = 2.0, 20.0  # to the limits of the axis: quicker setpoints add effort only
-SLOT_GROUP_LENGTHS = 12.0  # of `step_travel`: length of slots and of their groups behind a fall of the ground
-
 
 @jit
 def stopping_distance(speed_mps, accel_mps2, a_max_mps2, jerk_mps3):
@@ -53,9 +49,8 @@ def can_stop(e_m, v_mps, a_mps2, dt_s, v_max, a_max, jerk):
     v = v_mps + a_mps2 * dt_s
     if a_mps2 > 0.0 and v + 0.5 * a_mps2 * (dt_s + a_mps2 / jerk) > v_max:
         return False
-    if v <= 0.0:
-        return v * dt_s + stopping_distance(0.0, max(a_mps2, 0.0), a_max, jerk) <= e_m
-    return v * dt_s + stopping_distance(v, a_mps2, a_max, jerk) <= e_m
+    towards_mps, a_mps2 = max(v, 0.0), a_mps2 if v > 0.0 else max(a_mps2, 0.0)
+    return v * dt_s + stopping_distance(towards_mps, a_mps2, a_max, jerk) <= e_m
 
 
 @jit_inlined
@@ -122,15 +117,17 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     setpoint, gate = adaptive.setpoint, adaptive.gate
     e = target_m - setpoint.position_m
     direction = 1.0 if e >= 0.0 else -1.0
-    since_step_m, slots_m = gate.travel_since_step_m, SLOT_GROUP_LENGTHS * params.step_travel_m
-    may_be_slot = gate.step_m < 0.0 and since_step_m < slots_m  # just behind a confirmed fall of the ground
+    # behind a confirmed fall of the ground slots and groups of them are so long
+    may_be_slot = gate.step_m < 0.0 and gate.travel_since_step_m < 12.0 * params.step_travel_m
     gentle = e < 0.0 and (setpoint.approaching != 0 or may_be_slot)
     factor = params.toward_factor if gentle else 1.0
-    shortest_s = max(setpoint.min_interval_s, MIN_INTERVAL_S) if setpoint.min_interval_s > 0.0 else dt_s
-    # setpoints of a plan are farther ahead of the axis, which responds sooner
+    # shorter intervals than 0.5 ms are ignored: their overshoot is small
+    shortest_s = max(setpoint.min_interval_s, 5e-4) if setpoint.min_interval_s > 0.0 else dt_s
+    # setpoints much quicker than the axis add effort only; those of a plan are farther ahead of it, so that
+    # it responds sooner
     quick = 1.0 + 2.0 * adaptive.preview.share
-    v_max = min(params.max_speed_mps, quick * VELOCITY_RATIO * params.plant_v_max_mps)
-    a_max = min(params.max_accel_mps2, quick * ACCELERATION_RATIO * params.plant_a_max_mps2)
+    v_max = min(params.max_speed_mps, quick * 2.0 * params.plant_v_max_mps)
+    a_max = min(params.max_accel_mps2, quick * 20.0 * params.plant_a_max_mps2)
     ahead_m, v, a = direction * e, direction * setpoint.velocity_mps, direction * setpoint.acceleration_mps2
     v_max, a_max, next_s = factor * v_max, factor * a_max, min(dt_s, shortest_s)
     accel = next_acceleration(ahead_m, v, a, dt_s, next_s, v_max, a_max, params.max_jerk_mps3)
@@ -163,11 +160,9 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     if pause:
         setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
         setpoint.approaching = 1
-        dt = MIN_INTERVAL_S
+        dt = 5e-4  # as if the cycle before was so long ago
     longest_s = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
-    if dt <= PAUSE_NS * 1e-9:
-        propagate_setpoint(params, adaptive, target_m, min(dt, longest_s))
-        return
+    dt = min(dt, longest_s) if dt <= PAUSE_NS * 1e-9 else dt
     steps = math.ceil(dt / longest_s)
     for _ in range(steps):
         propagate_setpoint(params, adaptive, target_m, dt / steps)

@@ -3,13 +3,7 @@
 import math
 
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import (
-    RESPONSE_HOLD,
-    RESPONSE_LIFT,
-    RESPONSE_RUN,
-)
-
-UNSEEN_RISE = 3.0  # in stand-offs: over unseen ground a tool that a fault may have led up rises no more
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_RUN
 
 
 @jit
@@ -27,7 +21,7 @@ def setpoint_range(params, response, standoff_m):
     """Lowest and highest setpoint that the test permits; ∓∞: no limit.
 
     In a test the tool does not descend. One that a range without response may have led up rises by
-    `UNSEEN_RISE` stand-offs more at most, and no farther than the sensor sees from the stand-off. Over rising
+    three stand-offs more at most, and no farther than the sensor sees from the stand-off. Over rising
     ground a good sensor answers when the tool stops there.
 
     Parameters
@@ -44,6 +38,6 @@ def setpoint_range(params, response, standoff_m):
     if response.phase == RESPONSE_HOLD or response.phase == RESPONSE_LIFT:
         lowest_m = response.test_z_m + (response.lift_m if response.rises == 0 else 0.0)
     if response.phase != RESPONSE_RUN and response.rises != 0:
-        rise_m = min(UNSEEN_RISE * standoff_m, params.range_max_m - standoff_m)
+        rise_m = min(3.0 * standoff_m, params.range_max_m - standoff_m)
         highest_m = response.test_z_m + max(rise_m, response.lift_m)
     return lowest_m, highest_m

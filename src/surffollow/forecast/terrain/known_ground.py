@@ -10,10 +10,8 @@ from surffollow.forecast.quantities import APART_M, SLOW_RATE
 from surffollow.forecast.terrain.terrain_buffer import CELL_M, buffered_height, sensor_leads
 from surffollow.shm.jit import jit
 
-DISAGREEMENT_M = 1.5e-3  # heights of one place that differ by more …
-DISAGREEMENT_SIGMAS = 6.0  # … or by so many standard deviations of a reading disagree
+DISAGREEMENT_M = 1.5e-3  # heights of one place that differ by more disagree, but for noise
 REGISTRATION_M = 2.0 * CELL_M  # error of the place of a known height
-DROP_LENGTH_M = 2.0 * APART_M  # over which a drop is taken, and for which a map is not used after an error
 MAX_UNCONFIRMED_DESCENT_M = 2.0 * DISAGREEMENT_M  # of a plan below the setpoint of the sensor under the tool
 
 
@@ -41,7 +39,7 @@ def known_height(adaptive, inputs, s_m, ahead_m):
 @jit
 def disagreement_m(adaptive):
     """Difference from which two heights of one place disagree [m]."""
-    return max(DISAGREEMENT_M, DISAGREEMENT_SIGMAS * adaptive.noise.sigma_m)
+    return max(DISAGREEMENT_M, 6.0 * adaptive.noise.sigma_m)
 
 
 @jit
@@ -69,7 +67,8 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     gate = disagreement_m(adaptive)
     agrees = lowest - gate < h_m - known.bias_m < highest + gate
     known.contradictions = 0 if agrees else known.contradictions + 1
-    fading = min(adaptive.sample.spacing_m / DROP_LENGTH_M, 1.0) if known.peak_m != 0.0 else 1.0
+    drop_length_m = 2.0 * APART_M  # over which a drop is taken; a map is not used for as long after an error
+    fading = min(adaptive.sample.spacing_m / drop_length_m, 1.0) if known.peak_m != 0.0 else 1.0
     known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)
     drop = known.peak_m - h_m
     if agrees and drop > MAX_UNCONFIRMED_DESCENT_M:
@@ -80,7 +79,7 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     if known.contradictions < 2:
         return False
     known.descent_m = 0.0
-    known.trusted_from_m = s + max(adaptive.lookahead.lead_m, DROP_LENGTH_M)
+    known.trusted_from_m = s + max(adaptive.lookahead.lead_m, drop_length_m)
     return True
 
 

@@ -11,8 +11,6 @@ from surffollow.forecast.terrain.terrain_buffer import CELL_M, store_ground
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
-TIMEOUT_NS = 200_000_000  # a sensor without samples for so long does not lead
-
 
 @jit
 def observe_lookahead(params, adaptive, sense, pose):
@@ -25,8 +23,8 @@ def observe_lookahead(params, adaptive, sense, pose):
     """
     clock, kinematics, sample = adaptive.clock, adaptive.kinematics, adaptive.sample
     estimate, lookahead = adaptive.estimate, adaptive.lookahead
-    moving = not is_at_rest(kinematics)  # otherwise no channel leads
-    if not moving or clock.now_ns - lookahead.seen_ns > TIMEOUT_NS:
+    moving = not is_at_rest(kinematics)  # otherwise no channel leads, nor does one that was silent for 200 ms
+    if not moving or clock.now_ns - lookahead.seen_ns > 200_000_000:
         lookahead.lead_m = 0.0
     if not moving or estimate.samples == 0:
         return

@@ -2,26 +2,21 @@
 
 import math
 
-from surffollow.forecast.estimation import model_bank, noise
+from surffollow.forecast.estimation import model_bank, model_weights, noise
 from surffollow.forecast.plant.axis_model import MAX_MODEL_ERROR_M, PERIOD_S
 from surffollow.forecast.quantities import USUAL_SAMPLES
 from surffollow.forecast.terrain import known_ground, terrain_buffer
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
-from surffollow.shm.layout_adaptive_estimation import N_MODELS
 
-MIN_KNOWN_PERIODS = 7  # known ground that a plan needs: the reaction time of the axis
 PREDICTION_M = 0.04  # over which predictions by the bank are compared; farther on they end
 
 
 @jit
 def bank_rise(adaptive, ahead_m):
     """Blended change of height from the newest sample to a point ahead of it [m]."""
-    bank, weights, rise = adaptive.bank, adaptive.weights, 0.0
-    model_bank.extrapolate_bank(bank, ahead_m)
-    for i in range(N_MODELS):
-        rise += weights.weight[i] * bank.rise_m[i]
-    return rise
+    model_bank.extrapolate_bank(adaptive.bank, ahead_m)
+    return model_weights.blended(adaptive, adaptive.bank.rise_m)
 
 
 @jit
@@ -101,7 +96,9 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
 
 @jit
 def update_share(adaptive, known, plant_m2):
-    """Raise or lower preview's share of the setpoint by one controller period.
+    """Raise or lower preview's share of the setpoint by one controller period; whether a plan is possible.
+
+    It needs known ground over the reaction time of the axis, seven periods.
 
     Parameters
     ----------
@@ -110,12 +107,13 @@ def update_share(adaptive, known, plant_m2):
     plant_m2 : float64  squared error of the best axis model [m²]
     """
     # ground that is known from channel 0: an uncertain plan is better than none
-    preview, leads = adaptive.preview, terrain_buffer.sensor_leads(adaptive)
+    preview, leads, enough = adaptive.preview, terrain_buffer.sensor_leads(adaptive), known >= 7
     trusted = leads or adaptive.clock.now_ns >= preview.suspended_until_ns
-    usable = known >= MIN_KNOWN_PERIODS and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
+    usable = enough and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
     preview.share += 0.15 if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0
+    return enough
 
 
 @jit

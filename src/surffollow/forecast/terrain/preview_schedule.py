@@ -93,7 +93,6 @@ def preview_window(params, state, inputs):
         first = last = at
     elif due & FOR_SAMPLE != 0:
         first = min(first, at)
-    x += sample.tip_x_m * d.length
-    y += sample.tip_y_m * d.length
+    x, y = x + sample.tip_x_m * d.length, y + sample.tip_y_m * d.length
     ux, uy = motion.velocity_x_mps / v, motion.velocity_y_mps / v
     return due, x, y, ux, uy, (first - margin) * d.length, (last + margin) * d.length

@@ -46,8 +46,7 @@ def store_ground(adaptive, s_m, h_m):
     if buffer.cell[c] != k + 1 or is_off_path(adaptive, c, s_m):
         buffer.cell[c] = k + 1
         buffer.x_m[c], buffer.y_m[c] = point_at(adaptive, s_m)
-        buffer.count[c] = 0.0
-        buffer.height_m[c] = buffer.arc_length_m[c] = 0.0
+        buffer.count[c] = buffer.height_m[c] = buffer.arc_length_m[c] = 0.0
     buffer.count[c] += 1.0
     buffer.height_m[c] += (h_m - buffer.height_m[c]) / buffer.count[c]
     buffer.arc_length_m[c] += (s_m - buffer.arc_length_m[c]) / buffer.count[c]

@@ -87,8 +87,7 @@ def read_height(memory, x_m, y_m, before_ns):
                 n, h = (m.n, m.height_m) if m.t_ns < before_ns else (m.n_before, m.height_before_m)
                 dx, dy = jx - x_m / CELL_M, jy - y_m / CELL_M
                 w = n / (1.0 + dx * dx + dy * dy)
-                total += w * h
-                weight += w
+                total, weight = total + w * h, weight + w
     return total / weight if weight > 0.0 else math.nan
 
 
