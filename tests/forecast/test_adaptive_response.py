@@ -294,7 +294,7 @@ def test_a_reset_ends_a_test():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_lower_standoff_is_no_reason_to_test_a_good_sensor(seed):
-    """GIVEN a slow sensor that reads the old stand-off WHEN a lower one is set THEN the tool descends at once."""
+    """GIVEN a slow sensor WHEN a lower stand-off is set THEN the tool descends at once."""
     plant = {"tau_s": 2.0, "v_max_mps": 0.8, "a_max_mps2": 0.4}
     f = Follower({"plant": plant, "sensors": [{"near_m": 0.5, "far_m": 50.0}]}, offset_m=14.0)
     rng, z, goal, phases = np.random.default_rng(seed), 14.0, 14.0, set()

@@ -210,6 +210,7 @@ REASON_NAMES = (
     "some sensors give no reading within the window; the others count",
     "readings arrive later than they did: delayed, or the sensor's clock is slow",
     "range repeats the ones before although the tool moves; it is not used",
+    "some sensors disagree with the others and are left out",
 )
 (
     REASON_NONE,
@@ -227,7 +228,8 @@ REASON_NAMES = (
     REASON_SILENT,
     REASON_LATE,
     REASON_REPEATED,
-) = range(15)
+    REASON_LEFT_OUT,
+) = range(16)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

@@ -81,6 +81,7 @@ class Health(Schema):
     close_count = I64(doc="samples in a row nearer than too_close_m")
     reading_ns = I64(BEAMS, unit="ns", doc="arrival of the newest reading per channel; 0: none yet")
     interval_ns = I64(BEAMS, unit="ns", doc="usual interval of these; 0: not known")
+    used_ns = I64(BEAMS, unit="ns", doc="when each beam of a plane was last used, or has begun")
 
 
 RESPONSE_RUN, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_FAILED = range(4)

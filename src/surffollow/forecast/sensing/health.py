@@ -12,6 +12,7 @@ from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 ENTER_NS = 10_000_000  # a worse state is published after so long
+LEFT_OUT_NS = 500_000_000  # a beam of a plane that is not used for so long: an edge leaves out one for less
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
 
 
@@ -87,6 +88,18 @@ def silent_channels(params, health, now_ns):
 
 
 @jit
+def beams_left_out(params, adaptive):
+    """Bit per beam of a plane that was not used for LEFT_OUT_NS, although it reads: the others outvote it."""
+    health, now_ns, left_out = adaptive.health, adaptive.clock.now_ns, 0
+    for c in range(params.n_channels):
+        if adaptive.beams.accepted[c] != 0 or adaptive.plane.count == 0:
+            health.used_ns[c] = now_ns
+        elif now_ns - health.used_ns[c] > LEFT_OUT_NS:
+            left_out |= 1 << c
+    return left_out
+
+
+@jit
 def is_outside(params, adaptive):
     """Whether the last sample or the next one is within 3 mm of an end of the window."""
     hold, prediction = adaptive.hold, adaptive.prediction
@@ -96,13 +109,13 @@ def is_outside(params, adaptive):
 
 
 @jit_inlined
-def present_health(params, adaptive, silent):
+def present_health(params, adaptive, silent, left_out):
     """Health and its reason without hysteresis; the gravest one.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`
-    silent : int  bit per channel without readings
+    silent, left_out : int  bit per channel without readings, and per beam that is not used
 
     Returns
     -------
@@ -125,6 +138,7 @@ def present_health(params, adaptive, silent):
         (adaptive.beams.inconsistent != 0, layout.REASON_SENSORS),
         (adaptive.rotation.phase == ROTATION_FAILED, layout.REASON_ROTATION),
         (silent != 0, layout.REASON_SILENT | silent_bits),
+        (left_out != 0, layout.REASON_LEFT_OUT | left_out << layout.REASON_CHANNELS),
         (is_late(params, adaptive), layout.REASON_LATE),
         (adaptive.response.unused != 0, layout.REASON_REPEATED),
         (adaptive.gate.pending > 0, layout.REASON_PENDING),
@@ -139,7 +153,8 @@ def update_health(params, adaptive, sense):
     """Publish health and reason with hysteresis."""
     health, now_ns = adaptive.health, adaptive.clock.now_ns
     observe_channels(params, health, sense, now_ns)
-    state, reason = present_health(params, adaptive, silent_channels(params, health, now_ns))
+    silent, left_out = silent_channels(params, health, now_ns), beams_left_out(params, adaptive)
+    state, reason = present_health(params, adaptive, silent, left_out)
     if state != health.candidate:
         health.candidate, health.since_ns = state, now_ns
     wait_ns = ENTER_NS if state > health.state else quantities.PAUSE_NS
