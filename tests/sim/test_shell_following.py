@@ -108,13 +108,19 @@ def test_good_sensors_are_seldom_held_where_a_dome_steepens() -> None:
 
 @pytest.mark.parametrize("kind", ["stuck", "spike"])
 def test_one_bad_sensor_of_four_hardly_moves_the_tool(kind: Any) -> None:
-    loop = follow(4.0, 4, (FaultConfig(kind, 1.5, 5.0, channel=2),))
-    trace, (rise, turn) = scored(loop), changes(loop)
-    error_m = trace["standoff_m"] - 0.1
+    highest_m, rms_m = [], []
+    for seed in range(1, 9):
+        loop = follow(4.0, 4, (FaultConfig(kind, 1.5, 5.0, channel=2),), seed=seed)
+        trace, (rise, turn) = scored(loop), changes(loop)
+        error_m = trace["standoff_m"] - 0.1
+        assert error_m.min() > -1e-3
+        assert np.degrees(trace["angle_rad"]).max() < 2.0
+        assert rise.max() < 1e-3
+        assert turn.max() <= 1.02e-3
+        highest_m.append(error_m.max())
+        rms_m.append(np.sqrt(np.mean(error_m**2)))
+    print(f"highest {1e3 * np.array(highest_m)} mm, RMS {1e3 * np.array(rms_m)} mm")
     # where the dome steepens, a shift of the setpoint may stay unanswered, and the tool is held for a moment
-    assert error_m.min() > -1e-3
-    assert error_m.max() < 3e-3
-    assert np.sqrt(np.mean(error_m**2)) < 0.65e-3  # 0.2 to 0.6 mm over eight seeds
-    assert np.degrees(trace["angle_rad"]).max() < 2.0
-    assert rise.max() < 1e-3
-    assert turn.max() <= 1.02e-3
+    assert max(highest_m) < 6e-3
+    assert np.median(highest_m) < 2e-3
+    assert np.mean(rms_m) < 0.5e-3

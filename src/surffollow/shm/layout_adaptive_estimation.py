@@ -107,6 +107,7 @@ class Estimate(Schema):
     sample_ns = I64(unit="ns", doc="timestamp up to which the models are propagated")
     accepted_ns = I64(unit="ns", doc="timestamp of the last sample that entered the estimate")
     confirmed_ns = I64(unit="ns", doc="the same while the estimate had enough samples; 0: not begun")
+    in_frame_ns = I64(unit="ns", doc="the same of a sample from behind the newest jump of the frame")
     settle_ns = I64(unit="ns", doc="the performance index is frozen until then")
     arc_length_m = F64(unit="m", doc="distance travelled by the footprint")
     height_m = F64(unit="m", doc="blended height")

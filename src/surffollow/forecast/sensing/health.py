@@ -55,7 +55,9 @@ def is_lost(params, adaptive):
     # no demand is valid when more than this share of the stand-off may be lost unseen
     if (stuck or silent) and uncertain_clearance(adaptive) > 0.35 * params.offset_m:
         return True
-    return adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
+    # frames that jump more often than samples arrive: the tool would hold its height for ever
+    held = adaptive.clock.now_ns - estimate.in_frame_ns > 2 * params.loss_timeout_ns
+    return held or adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
 
 
 @jit

@@ -66,6 +66,8 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     highest, lowest = max(here, behind, beyond), min(here, behind, beyond)
     gate = disagreement_m(adaptive)
     agrees = lowest - gate < h_m - known.bias_m < highest + gate
+    difference_m = min(max(h_m - here - known.bias_m, -gate), gate)
+    known.difference_m2 += (difference_m * difference_m - known.difference_m2) / 64.0
     known.contradictions = 0 if agrees else known.contradictions + 1
     drop_length_m = 2.0 * APART_M  # over which a drop is taken; a map is not used for as long after an error
     fading = min(adaptive.sample.spacing_m / drop_length_m, 1.0) if known.peak_m != 0.0 else 1.0
@@ -74,13 +76,23 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     if agrees and drop > MAX_UNCONFIRMED_DESCENT_M:
         known.descent_m += fading * max(drop - known.descent_m, 0.0)
     known.compared += 1 if known.compared * SLOW_RATE < 1.0 else 0  # at first the mean is that of all
-    bias_m = known.bias_m + min(max(h_m - here - known.bias_m, -gate), gate) / known.compared
+    bias_m = known.bias_m + difference_m / known.compared
     known.bias_m = min(max(bias_m, -APART_M), APART_M)
     if known.contradictions < 2:
         return False
     known.descent_m = 0.0
     known.trusted_from_m = s + max(adaptive.lookahead.lead_m, drop_length_m)
     return True
+
+
+@jit
+def is_useful(adaptive):
+    """Whether known ground differs by little from what the sensor under the tool measures, on average.
+
+    Each of many samples may agree and all of them differ: ground that changed a little, or much noise.
+    """
+    limit_m = max(0.5 * DISAGREEMENT_M, 2.0 * adaptive.noise.sigma_m)
+    return adaptive.known.difference_m2 < limit_m * limit_m
 
 
 @jit

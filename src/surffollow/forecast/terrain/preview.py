@@ -108,7 +108,8 @@ def update_share(adaptive, known, plant_m2):
     """
     # ground that is known from channel 0: an uncertain plan is better than none
     preview, leads, enough = adaptive.preview, terrain_buffer.sensor_leads(adaptive), known >= 7
-    trusted = leads or adaptive.clock.now_ns >= preview.suspended_until_ns
+    sure = adaptive.clock.now_ns >= preview.suspended_until_ns and known_ground.is_useful(adaptive)
+    trusted = leads or sure
     usable = enough and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
     preview.share += 0.15 if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
