@@ -181,9 +181,10 @@ def test_a_killed_client_frees_its_channel(outside: Service, client: Client) -> 
 def test_what_cannot_be_a_range_is_reported_at_once(
     client: Client, channel: Any, ahead_ns: int, range_m: Any, says: str
 ) -> None:
-    client.push_range(0, time.monotonic_ns(), 0.1)
+    now_ns = time.monotonic_ns()
+    client.push_range(0, now_ns, 0.1)
     with pytest.raises(ReadingError, match=says):
-        client.push_range(channel, time.monotonic_ns() + ahead_ns, range_m)
+        client.push_range(channel, now_ns + ahead_ns, range_m)
 
 
 def test_channels_that_the_driver_has_not_are_refused(client: Client) -> None:

@@ -138,7 +138,9 @@ def test_a_terminal_ctrl_c_before_ready_leaves_nothing_that_stops_the_next_start
     process.communicate(timeout=READY_S)
     # THEN the next one starts
     s.start()
-    assert s.run("status").returncode == 0
+    until(
+        lambda: s.run("status").returncode == 0, "a status without a fault"
+    )  # a late cycle is one for a while
 
 
 @pytest.mark.parametrize("name", ["a/b", "../x", "", "-x", "x" * 49, "a b", ".x"])
