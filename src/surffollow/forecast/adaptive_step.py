@@ -77,8 +77,7 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     """
     motion, controller, now_ns = adaptive.kinematics, adaptive.controller, adaptive.clock.now_ns
     call_s = preview.plan_call_s(adaptive)
-    controller_clock.open_period(controller, call_s, inputs.n_ranges, now_ns)
-    latch_ns = controller_clock.latch_time(controller, call_s, inputs.n_ranges, now_ns)
+    latch_ns = controller_clock.open_period(controller, call_s, inputs.n_ranges, now_ns)
     since_pose_m = motion.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = controller_clock.mean_wait_s(params, controller)
     ahead_m += motion.speed_mps * ((latch_ns - now_ns) * 1e-9 - wait_s)

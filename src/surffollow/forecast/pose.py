@@ -63,6 +63,18 @@ def rotation_between(ax, ay, az, bx, by, bz):
 
 
 @jit_inlined
+def newest_until(times_ns, count, t_ns):
+    """Number of the newest of `count` entries of a ring up to a time; the oldest one kept if none is.
+
+    `times_ns` holds the times of the last entries; its length is a power of two.
+    """
+    k, oldest = count - 1, max(0, count - len(times_ns))
+    while k > oldest and times_ns[k & (len(times_ns) - 1)] > t_ns:
+        k -= 1
+    return k
+
+
+@jit_inlined
 def newest_pose(sense):
     """Slot of the newest pose report in its rings."""
     return (sense.pose_count - 1) & (POSES - 1)
@@ -134,10 +146,9 @@ def pose_at(sense, t_ns, interpolate, out):
     interpolate : int   0: the latest pose
     out : (7,) float64  receives x y z [m], qx qy qz qw
     """
-    k, oldest = sense.pose_count - 1, max(0, sense.pose_count - POSES)
+    k = sense.pose_count - 1
     if interpolate != 0:
-        while k > oldest and sense.pose_t_ns[k & (POSES - 1)] > t_ns:
-            k -= 1
+        k = newest_until(sense.pose_t_ns, sense.pose_count, t_ns)
     a = k & (POSES - 1)
     if interpolate == 0 or a == newest_pose(sense) or sense.pose_t_ns[a] > t_ns:
         for i in range(7):

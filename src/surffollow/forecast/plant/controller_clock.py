@@ -9,6 +9,7 @@ report.
 import math
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
+from surffollow.forecast.pose import newest_until
 from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
@@ -73,10 +74,11 @@ def mean_wait_s(params, controller):
 
 @jit
 def open_period(controller, call_s, ranges_given, now_ns):
-    """Set the latch time of the period that has just begun; until then its demand may change."""
-    slot = (controller.periods - 1) & (N_PERIODS - 1)
-    controller.latch_ns[slot] = latch_time(controller, call_s, ranges_given, now_ns)
-    controller.latch_pending = 1 if is_synchronised(controller, call_s, ranges_given, now_ns) else 0
+    """Latch time of the period that has just begun, which is set; until then its demand may change."""
+    latch_ns = latch_time(controller, call_s, ranges_given, now_ns)
+    controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = latch_ns
+    controller.latch_pending = 1 if latch_ns > now_ns else 0
+    return latch_ns
 
 
 @jit
@@ -133,16 +135,10 @@ def begin_period(controller, now_ns):
 @jit
 def period_at(controller, t_ns):
     """Number of the newest period that is latched at a time; the oldest one in the rings if none is."""
-    k, oldest = controller.periods - 1, max(0, controller.periods - N_PERIODS)
-    while k > oldest and controller.latch_ns[k & (N_PERIODS - 1)] > t_ns:
-        k -= 1
-    return k
+    return newest_until(controller.latch_ns, controller.periods, t_ns)
 
 
 @jit
 def usual_periods(controller):
-    """Usual length of a controller period, in those of a plan, 1 to LONGEST_PERIODS.
-
-    A demand is kept for so long: a controller of 125 Hz takes every second one, and others are not punctual.
-    """
+    """Usual time for which a demand is kept, in periods of a plan, 0.6 to LONGEST_PERIODS."""
     return min(max(controller.usual_ns / (PERIOD_S * 1e9), 0.6), LONGEST_PERIODS)

@@ -11,11 +11,11 @@ import numpy as np
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.plant import axis_model, controller_clock
+from surffollow.forecast.pose import newest_pose, newest_until
 from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
-from surffollow.shm.layout_follow import POSES
 
 TAU_RATIO = 1.5  # between neighbouring τ
 TAU_SHARES = TAU_RATIO ** (np.arange(N_PLANTS) - N_PLANTS // 2)  # of the configured τ
@@ -55,10 +55,7 @@ def record_latch(plant, t_ns, setpoint_m):
 @jit
 def setpoint_in_force(plant, t_ns):
     """The follower's own setpoint that was in force at a time, at least the oldest one kept [m]."""
-    k, oldest = plant.latches - 1, max(0, plant.latches - N_LATCHES)
-    while k > oldest and plant.latch_ns[k & (N_LATCHES - 1)] > t_ns:
-        k -= 1
-    return plant.latched_m[k & (N_LATCHES - 1)]
+    return plant.latched_m[newest_until(plant.latch_ns, plant.latches, t_ns) & (N_LATCHES - 1)]
 
 
 @jit
@@ -124,7 +121,7 @@ def update_plant(params, adaptive, sense, ranges_given, adapt):
     adapt : bool        False: τ stays as it is
     """
     plant, setpoint = adaptive.plant, adaptive.setpoint
-    newest = (sense.pose_count - 1) & (POSES - 1)
+    newest = newest_pose(sense)
     t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
     if t == plant.t_ns:
         return

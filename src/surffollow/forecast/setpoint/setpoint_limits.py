@@ -125,9 +125,9 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     shortest_s = max(setpoint.min_interval_s, 5e-4) if setpoint.min_interval_s > 0.0 else dt_s
     # setpoints much quicker than the axis add effort only; those of a plan are farther ahead of it, so that
     # it responds sooner
-    quick = 1.0 + 2.0 * adaptive.preview.share
-    v_max = min(params.max_speed_mps, quick * 2.0 * params.plant_v_max_mps)
-    a_max = min(params.max_accel_mps2, quick * 20.0 * params.plant_a_max_mps2)
+    ratio = 1.0 + 2.0 * adaptive.preview.share
+    v_max = min(params.max_speed_mps, ratio * 2.0 * params.plant_v_max_mps)
+    a_max = min(params.max_accel_mps2, ratio * 20.0 * params.plant_a_max_mps2)
     ahead_m, v, a = direction * e, direction * setpoint.velocity_mps, direction * setpoint.acceleration_mps2
     v_max, a_max, next_s = factor * v_max, factor * a_max, min(dt_s, shortest_s)
     accel = next_acceleration(ahead_m, v, a, dt_s, next_s, v_max, a_max, params.max_jerk_mps3)
