@@ -10,8 +10,15 @@ import pytest
 from surffollow.follower import Follower
 from surffollow.forecast.estimation.estimate import update_estimate
 from surffollow.forecast.estimation.model_bank import BANK, N_MODELS, SLOPE
+from surffollow.forecast.plant.plant_identification import (
+    record_latch,
+    record_own_setpoint,
+    setpoint_in_force,
+)
 from surffollow.forecast.pose import push_pose
+from surffollow.forecast.sensing.latency_identification import update_correction
 from surffollow.forecast.sensing.range_prediction import predict_range, return_gain, update_prediction
+from surffollow.forecast.sensing.sample_hold import count_m, record_sample, reset_hold
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.forecast.step import follow_step
 from surffollow.forecast.terrain.terrain_buffer import buffered_height, store_ground
@@ -476,3 +483,39 @@ def test_a_first_reading_that_is_a_glitch_does_not_drive_a_standing_tool_to_the_
 @pytest.mark.parametrize("step_m", [-0.02, 0.02])
 def test_ground_that_moves_under_a_standing_tool_is_confirmed(step_m):
     assert follow_at_rest({}, step_m)[1] < 0.4
+
+
+@pytest.mark.parametrize(("samples", "identified"), [(59, False), (60, True)])
+def test_a_latency_needs_sixty_samples_of_one_rest(samples, identified):
+    """GIVEN heights that the climb rate explains WHEN a rest is short THEN it may be chance."""
+    a = zeros(AdaptiveState)[0]
+    latency = a["latency"]
+    latency["count"], latency["climb_climb"] = samples, samples * 0.03**2
+    latency["climb_height"] = 0.02 * latency["climb_climb"]  # 20 ms
+    latency["height_height"] = 0.02**2 * latency["climb_climb"]
+    update_correction(a, True)
+    assert float(latency["correction_s"]) == pytest.approx(0.02 if identified else 0.0, rel=0.1)
+
+
+def test_the_count_of_a_sensor_is_its_least_change_of_many():
+    hold, count = zeros(AdaptiveState)[0]["hold"], 5e-3
+    for k in range(8):
+        assert count_m(hold) == 0.0, "few changes say nothing: a step of the ground is one"
+        record_sample(hold, (k + 1) * MS, 0.1 + count * (k % 2))
+        record_sample(hold, (k + 1) * MS + 1, 0.1 + count * (k % 2))
+    record_sample(hold, 10 * MS, 0.1)
+    assert count_m(hold) == pytest.approx(count, rel=1e-9)
+    reset_hold(hold)
+    assert count_m(hold) == 0.0
+
+
+def test_setpoints_between_rare_reports_are_in_force_too():
+    """GIVEN no report for 50 ms WHEN periods begin every 10 ms THEN a setpoint counts from 30 ms on."""
+    a = zeros(AdaptiveState)[0]
+    plant = a["plant"]
+    record_latch(plant, 10**9, 0.1)
+    for k in range(1, 6):
+        a["clock"]["now_ns"] = a["controller"]["period_ns"] = 10**9 + 10 * k * MS
+        record_own_setpoint(a, False, 0.1 + 1e-3 * k)
+    in_force = [setpoint_in_force(plant, 10**9 + 10 * k * MS) for k in range(6)]
+    assert in_force == pytest.approx([0.1, 0.1, 0.1, 0.103, 0.103, 0.103])
