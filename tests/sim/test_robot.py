@@ -303,3 +303,22 @@ def test_a_robot_whose_service_was_gone_for_most_of_the_run_has_not_finished() -
     assert held_too_long(summary["ticks"], summary["held_ticks"])
     assert not summary["finished"]
     assert not held_too_long(2000, 200)
+
+
+@pytest.mark.parametrize("question", [1, 2, 3])
+def test_a_stop_before_the_motion_leaves_no_block(question: int) -> None:
+    config = RobotConfig(world=WorldConfig(surface="flat", region=(0.0, 0.0, 0.5, 0.2)), seconds=1.0)
+    name = f"test-robot-{os.getpid()}"
+    blocks: list[bool] = []
+
+    def stopped() -> bool:
+        blocks.append(os.path.exists(f"/dev/shm/{name}.world"))
+        return len(blocks) == question
+
+    def nobody() -> PerfectService:
+        raise NotRunningError("no service")
+
+    with pytest.raises(KeyboardInterrupt):
+        run_robot(config, name, nobody, stopped)
+    assert blocks == [False, True, True][:question]
+    assert not os.path.exists(f"/dev/shm/{name}.world")

@@ -80,7 +80,7 @@ def execute(
     config : ScanRobotConfig
     ground : TerrainGrid    the map of the plan, from which the expected ranges follow; None: from the path
     prepare : gets an attachment before anything moves: to install a map
-    aborted : asked in every period; once true the tip retracts and the run ends
+    aborted : asked while waiting and in every period; once true the tip retracts and the run ends
     progress : gets a line of text and the finished part
     wait_s : how long to wait for the service at the start [s]
 
@@ -90,6 +90,8 @@ def execute(
         a path that cannot be run
     FaultError
         no service, another robot writes the world block, or another scan of this service runs
+    KeyboardInterrupt
+        when `aborted()` while it waits for the service
     """
     check_executable(path)
     expected = expected_range_m(path, ground)
@@ -104,7 +106,7 @@ def execute(
         raise
     run = _Run(robot, Controller(robot, attach), control, world, progress)
     try:
-        run.controller.connect(wait_s)
+        run.controller.connect(wait_s, aborted)
         if prepare is not None:
             prepare(run.controller.service)
         with keys() as pressed:

@@ -162,10 +162,13 @@ def _print_result(summary: dict[str, Any], as_json: bool) -> None:
 
 
 class _StopSignals:
-    """SIGINT and SIGTERM end the wait for the service at once, and the motion after its period."""
+    """SIGINT and SIGTERM end the preparations at once; then whoever asks learns of them.
+
+    From the first question on there is a block to remove: a signal interrupts nothing any more.
+    """
 
     def __init__(self) -> None:
-        self._stopped = self._moves = False
+        self._stopped = self._asked = False
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> _StopSignals:
@@ -179,12 +182,12 @@ class _StopSignals:
 
     def _note(self, *_: object) -> None:
         self._stopped = True
-        if not self._moves:
+        if not self._asked:
             raise KeyboardInterrupt
 
     def __call__(self) -> bool:
-        """Whether a signal came; asked in every period of the motion."""
-        self._moves = True
+        """Whether a signal came."""
+        self._asked = True
         return self._stopped
 
 

@@ -81,16 +81,20 @@ class Controller:
         """The attachment; None while there is none."""
         return self._service
 
-    def connect(self, wait_s: float) -> None:
+    def connect(self, wait_s: float, stopped: Callable[[], bool] = lambda: False) -> None:
         """Attach and request the desired stand-off.
 
         Raises
         ------
         FaultError
             when that still fails after `wait_s`
+        KeyboardInterrupt
+            when `stopped()` while it waits
         """
         deadline = time.monotonic() + wait_s
         while not self._try_attach():
+            if stopped():
+                raise KeyboardInterrupt
             if time.monotonic() > deadline:
                 raise NotRunningError(self.fault)
             time.sleep(0.05)
@@ -183,7 +187,7 @@ def run_robot(
     config : RobotConfig
     name : of the service; the true pose goes to the block NAME.world
     attach : see `Controller`
-    stopped : asked in every period
+    stopped : asked before the block exists, while waiting, and in every period
     wait_s : how long to wait for the service at the start [s]
 
     Returns
@@ -194,14 +198,18 @@ def run_robot(
     ------
     FaultError
         no service, or another robot writes the world block
+    KeyboardInterrupt
+        when `stopped()` before the motion
     """
     field = config.world.make()
     core = RobotCore(config, field, time.monotonic_ns())
     core.advance(core.t_ns + 2_000_000)  # compiles, in simulated time
+    if stopped():
+        raise KeyboardInterrupt
     world = WorldWriter(name)
     controller = Controller(core, attach)
     try:
-        controller.connect(wait_s)
+        controller.connect(wait_s, stopped)
         core.restart_clock(time.monotonic_ns())
         tick_ns = round(1e9 / config.plant.tick_hz)
         while not (core.done or stopped()):
