@@ -12,12 +12,11 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
-from multiprocessing import get_context
 from typing import Any
 
 from surffollow import Follower
+from surffollow.benchmark.cell_runs import in_parallel
 from surffollow.benchmark.hazard_scenarios import FAMILIES, FAR_M, KINDS, NEAR_M, STANDOFF_M, Scenario, draw
 from surffollow.benchmark.hazards import PLoop, play, shortfall_m, shrink
 
@@ -42,6 +41,11 @@ def run(job: tuple[str, int, tuple[str, ...]]) -> dict[str, Any]:
     scenario = draw(family, seed)
     played = {m: asdict(play(make(m, family, scenario.interval_ms), scenario)) for m in methods}
     return {"scenario": asdict(scenario), **played}
+
+
+def show_progress(done: int, total: int) -> None:
+    """Overwrite the terminal's line with the number of scenarios played."""
+    print(f"\r{done} of {total} scenarios", end="" if done < total else "\n", file=sys.stderr)
 
 
 def below(row: dict[str, Any], method: str) -> float:
@@ -75,11 +79,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(f"unknown families {unknown}; there are {list(FAMILIES)}")
     jobs = [(f, given.first + k, methods) for f in families for k in range(given.count)]
     begun = time.process_time()
-    if given.processes > 1:
-        with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
-            found = list(pool.map(run, jobs, chunksize=4))
-    else:
-        found = [run(job) for job in jobs]
+    found = list(in_parallel(run, jobs, given.processes, show_progress if sys.stderr.isatty() else None))
+    found.sort(key=lambda r: r["scenario"]["seed"])
     first, rows = methods[0], []
     for family in families:
         of = [r for r in found if r["scenario"]["family"] == family]

@@ -40,6 +40,20 @@ def test_a_beam_that_is_nearer_by_a_stand_off_is_wrong(heights_m, expected):
     assert tuple(a["beams"]["accepted"][:4]) == expected
 
 
+@pytest.mark.parametrize(("deviation_m", "inconsistent"), [(0.0018, False), (0.006, True)])
+def test_ground_that_bends_as_the_stand_off_does_is_no_disagreement(deviation_m, inconsistent):
+    """GIVEN a saddle under four beams, radius 25 or 7 cm THEN only the narrow one is a fault; D is 10 cm."""
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    params["n_channels"], params["offset_m"], params["gate_m"] = 4, 0.1, 0.5e-3
+    a["plane"]["count"], a["noise"]["sigma_m"] = 1, 1e-4
+    a["beams"]["t_ns"][:4] = 10**9
+    for c, (x, y) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
+        height = deviation_m if x else -deviation_m
+        a["beams"]["footprint_m"][3 * c : 3 * c + 3] = 0.03 * x, 0.03 * y, height
+    isolate_faults(params, a, 10**9, 0.0, 0.0)
+    assert bool(a["beams"]["inconsistent"]) == inconsistent
+
+
 def ring(radius_m: float, standoff_m: float) -> Follower:
     sensors = [
         {"near_m": 0.3 * standoff_m, "far_m": 3.0 * standoff_m, "position_m": [*place, 0.0]}

@@ -204,13 +204,17 @@ def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], S
 def _run(
     config: Any, name: str, wait_s: float, trace: str | None, arbiter: str | None, resource: str
 ) -> dict[str, Any]:
+    from surffollow.map.formats.atomic_file import check_place, replacing
     from surffollow.sim.robot_run import claim_priority, run_robot
 
+    if trace:
+        check_place(trace)
     claim_priority()
     with _StopSignals() as stopped:
         core, summary = run_robot(config, name, _attachment(name, arbiter, resource), stopped, wait_s)
     if trace:
         import numpy as np
 
-        np.savez_compressed(trace, **core.trace())  # type: ignore[arg-type]
+        with replacing(trace) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(file, **core.trace())  # type: ignore[arg-type]
     return summary

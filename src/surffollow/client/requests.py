@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from surffollow.errors import NotRunningError, RefusedError, RegionError, RequestTimeoutError, UsageError
@@ -22,7 +22,7 @@ from surffollow.shm.layout_board import (
     RQ_STOP,
     Ack,
 )
-from surffollow.shm.layout_follow import STOPPED
+from surffollow.shm.layout_follow import STOPPED, Params
 from surffollow.units import real_number
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ class Ticket:
         self._client._settled(self)
         code, detail = int(self._answer["result"]), int(self._answer["detail"])
         if code != OK:
-            raise RefusedError(_explain(code, detail), code)
+            raise RefusedError(_explain(code, detail, self._board.latch("params", Params).read() or {}), code)
         return detail
 
     def settle(self, timeout_s: float, wait: bool) -> Ticket:
@@ -231,7 +231,7 @@ class Ticket:
         return self
 
 
-def _explain(code: int, detail: int) -> str:
+def _explain(code: int, detail: int, in_force: Mapping[str, Any]) -> str:
     text = RESULT_TEXT[code] if 0 <= code < len(RESULT_TEXT) else f"result {code}"
     if code in (ERR_POSE_HELD, ERR_RANGE_HELD):
         return f"refused: {text} (pid {detail})"
@@ -246,10 +246,11 @@ def _explain(code: int, detail: int) -> str:
         return f"refused: {text} ({', '.join(stop_names(detail))})"
     if code in (ERR_BAD_VALUE, ERR_BEYOND_LIMITS) and detail >= 0:
         from surffollow.config.window_fit import FITTED, RULE
-        from surffollow.shm.layout_follow import Params
 
-        names = [f.name for f in Params.FIELDS if f.offset == 8 * detail]
-        rule = f"; {RULE}" if code == ERR_BAD_VALUE and names and names[0] in FITTED else ""
+        names, rule = [f.name for f in Params.FIELDS if f.offset == 8 * detail], ""
+        if code == ERR_BAD_VALUE and names and names[0] in FITTED:
+            now = ", ".join(f"{n} {in_force[n]:g} m" for n in FITTED if n in in_force)
+            rule = f"; {RULE} (in force: {now})"
         return f"refused: {text} ({names[0] if names else f'parameter number {detail}'}){rule}"
     return f"refused: {text}"
 

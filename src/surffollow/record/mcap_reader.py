@@ -98,7 +98,9 @@ class McapReader(Closing):
         start = self._size - _TAIL_BYTES
         tail = self._read(max(start, 0), _TAIL_BYTES)
         if start < len(MAGIC) or not tail.endswith(MAGIC):
-            self.damage.add("the file ends early: its end mark is missing (recorder killed, or cut)")
+            self.damage.add(
+                "the file ends early: its end mark is missing (still being recorded, recorder killed, or cut)"
+            )
             return False
         opcode, length = _RECORD.unpack_from(tail)
         summary, _, summary_crc = _FOOTER_BODY.unpack_from(tail, _RECORD.size)

@@ -8,7 +8,7 @@ those of two others is blocked, or stuck. Without a majority the beams that see 
 
 import math
 
-from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height
+from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height, half_squared_distance
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
@@ -133,6 +133,19 @@ def is_blocked(params, adaptive, c):
 
 
 @jit
+def plausible_bend_m(params, adaptive):
+    """How far ground with a radius of curvature of the stand-off leaves its plane under the farthest beam [m].
+
+    A twentieth of the stand-off at most: wide rings meet such ground seldom, and faults as large do harm.
+    """
+    beams, farthest_m2 = adaptive.beams, 0.0
+    for c in range(params.n_channels):
+        if beams.accepted[c] != 0:
+            farthest_m2 = max(farthest_m2, half_squared_distance(beams, c))
+    return min(farthest_m2 / params.offset_m, 0.05 * params.offset_m)
+
+
+@jit
 def is_bent(adaptive, n_channels, gate_m):
     """Whether the accepted beams lie on no plane within the gate."""
     beams = adaptive.beams
@@ -209,7 +222,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     apart = 2 * agree <= n or (beams.inconsistent != 0 and nearest > median + gate)
     if n < 4 or not begun or not apart:
         beams.inconsistent = 0
-    elif is_bent(adaptive, params.n_channels, gate):
+    elif is_bent(adaptive, params.n_channels, max(gate, plausible_bend_m(params, adaptive))):
         beams.inconsistent = CONFIRMED_SAMPLES
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
