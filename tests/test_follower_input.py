@@ -30,11 +30,60 @@ def test_a_pose_that_cannot_be_one_is_an_error(pose):
         surffollow.Follower().pose(T0, pose)
 
 
-def test_step_takes_one_to_eight_ranges():
+@pytest.mark.parametrize(("sensors", "count"), [(1, 0), (1, 2), (1, 9), (3, 0), (3, 2), (3, 4)])
+def test_step_takes_one_range_per_sensor(sensors, count):
+    f = surffollow.Follower({"sensors": [{}] * sensors})
+    with pytest.raises(
+        UsageError, match=f"{sensors} range.*one per sensor of the configuration, not {count}"
+    ):
+        f.step(T0, [0.1] * count)
+
+
+def test_one_range_is_not_enough_for_three_sensors_but_no_reading_is():
+    f = surffollow.Follower({"sensors": [{}] * 3})
+    for none in ([math.nan], [None], np.full(1, math.nan)):
+        f.step(T0, none)
+    with pytest.raises(UsageError, match="one per sensor"):
+        f.step(T0, [0.1])
+
+
+def test_none_is_no_reading():
+    f = surffollow.Follower({"sensors": [{}] * 2}, offset_m=0.1)
+    f.step(T0, [None, 0.1])
+    assert math.isnan(f.state()["range_m"][0])
+    assert f.state()["range_m"][1] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("t_ns", [1.0, 1.5, 1e9, np.float64(1e9), math.nan, math.inf, "1", None, 1j])
+def test_a_time_that_is_no_whole_number_is_refused_and_the_unit_is_named(t_ns):
     f = surffollow.Follower()
-    for ranges in ([], [0.1] * 9):
-        with pytest.raises(UsageError):
-            f.step(T0, ranges)
+    for error, call in (
+        (PoseError, lambda: f.pose(t_ns, at(0.0, 0.1))),
+        (UsageError, lambda: f.step(t_ns, [0.1])),
+    ):
+        with pytest.raises(error, match="t_ns must be a whole number of ns"):
+            call()
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.uint64, np.int32])
+def test_times_may_be_whole_numbers_of_numpy(kind):
+    f = surffollow.Follower()
+    assert f.pose(kind(10**9), at(0.0, 0.1))
+    f.step(kind(10**9), [0.1])
+    assert f.state()["pose_t_ns"] == 10**9
+
+
+def test_poses_with_times_in_ms_are_refused_after_a_while():
+    f = surffollow.Follower(offset_m=0.1)
+    for k in range(100):
+        f.pose(4 * k, at(0.0, 0.1))
+    with pytest.raises(PoseError, match=r"times are in ns.* this one after 4 ns"):
+        f.pose(400, at(0.0, 0.1))
+
+
+def test_poses_as_often_as_any_sensor_measures_are_taken():
+    f = surffollow.Follower(offset_m=0.1)
+    assert all(f.pose(T0 + k * 2_500, at(0.0, 0.1)) for k in range(1000))
 
 
 @pytest.mark.parametrize(
@@ -83,7 +132,8 @@ def test_no_input_makes_a_demand_that_is_not_finite_or_beyond_its_limits(n, most
     sensors = [{"position_m": [0.03 * math.cos(k), 0.03 * math.sin(k), 0.0]} for k in range(n)]
     f = surffollow.Follower({"sensors": sensors, "max_demand_m": most, "memory": False}, offset_m=0.1)
     t = T0
-    for what, ms, x, z, ranges in calls:
+    for what, ms, x, z, numbers in calls:
+        ranges = (numbers * n)[:n]
         t += ms * MS // 10
         if what == "pose":
             f.pose(t, at(x, z, 0.3 * x))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from surffollow.config.params import check_param, names_given
 from surffollow.config.window_fit import FITTED, check_fit
 from surffollow.errors import PoseError, UsageError
-from surffollow.follower.kernel_time import kernel_time
+from surffollow.follower.kernel_time import PoseIntervals, kernel_time
 from surffollow.follower.reading_stamps import Timestamps
 from surffollow.follower.setup import Config, read_setup
 from surffollow.follower.state_report import state_report
@@ -42,10 +42,15 @@ from surffollow.units import real_number
 
 
 def _real(value: object) -> float:
-    """A real number as float; text and truth values are none."""
+    """A real number as float; text and truth values are no numbers."""
     if isinstance(value, (str, bytes, bool, np.bool_, complex)):
         raise TypeError(value)
     return float(value)  # type: ignore[arg-type]
+
+
+def _reading(value: object) -> float:
+    """A range as float; None, as NaN, is no reading."""
+    return math.nan if value is None else _real(value)
 
 
 class Follower:
@@ -103,7 +108,8 @@ class Follower:
         self._memory = new_memory() if setup.use_memory and adaptive else None
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         self._scaled = self._state["scaled"][0]
-        self._stamps = Timestamps()
+        self._stamps, self._pose_intervals = Timestamps(), PoseIntervals()
+        self._n_channels = len(setup.mounts)
         self._scale_times()
 
     def _scale_times(self) -> None:
@@ -167,7 +173,7 @@ class Follower:
         Parameters
         ----------
         t_ns : int
-            when the pose was true; reports may arrive late
+            when the pose was true, a whole number of ns; reports may arrive late
         pose : 7 numbers
             x y z [m], unit quaternion qx qy qz qw, world from tool
 
@@ -179,7 +185,9 @@ class Follower:
         Raises
         ------
         PoseError
-            not seven finite numbers, or a quaternion whose norm is off by more than 1e-3
+            not seven finite numbers, a quaternion whose norm is off by more than 1e-3, a time that is no
+            whole number or more than an hour before 0, or 100 poses in succession less than 1 µs apart: then
+            the times are in another unit
         """
         p = self._pose
         try:
@@ -191,26 +199,27 @@ class Follower:
                 p[:] = [_real(v) for v in pose]
         except (TypeError, ValueError, OverflowError):
             raise PoseError(f"a pose is seven numbers x y z qx qy qz qw, not {pose!r}") from None
-        t = kernel_time(t_ns)
+        t = kernel_time(t_ns, PoseError)
         found = report_pose(self._state, self._stepped_ns, t, p)
         if found == NO_POSE:
             raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
         if found == TOO_FAR:
             raise PoseError(f"pose {p.tolist()} lies beyond {MAX_POSITION_M:g} m")
         if found == TAKEN:
+            self._pose_intervals.check(t)
             self._stamps.note_pose(t)
         return bool(found == TAKEN)
 
-    def step(self, t_ns: int, ranges_m: Sequence[float] | NDArray[Any]) -> NDArray[np.float64]:
+    def step(self, t_ns: int, ranges_m: Sequence[float | None] | NDArray[Any]) -> NDArray[np.float64]:
         """Step once, with readings or without.
 
         Parameters
         ----------
         t_ns : int
-            when the ranges were read; without any, now
-        ranges_m : up to 8
-            distances per channel [m]; NaN: no reading in this step; a number outside
-            the window: the sensor lost the surface
+            when the ranges were read, a whole number of ns; without any, now
+        ranges_m : one per sensor
+            distances per channel [m]; NaN or None: no reading in this step; a number outside
+            the window: the sensor lost the surface. [NaN] alone: no reading of any sensor
 
         Returns
         -------
@@ -220,7 +229,7 @@ class Follower:
         Raises
         ------
         UsageError
-            not 1 to 8 numbers, or a time more than an hour before 0
+            not a number for each sensor, or a time that is no whole number or more than an hour before 0
 
         Notes
         -----
@@ -228,16 +237,20 @@ class Follower:
         """
         try:
             n = len(ranges_m)
-            if not 1 <= n <= CHANNELS:
-                raise UsageError(f"step takes 1 to {CHANNELS} ranges, not {n}")
+            if n not in (self._n_channels, 1):
+                raise self._wrong_count(n)
             if isinstance(ranges_m, np.ndarray) and ranges_m.dtype.kind in "fiu" and ranges_m.ndim == 1:
                 self._given_m[:n] = ranges_m
             else:
-                self._given_m[:n] = [_real(v) for v in ranges_m]
+                self._given_m[:n] = [_reading(v) for v in ranges_m]
         except UsageError:
             raise
         except (TypeError, ValueError, OverflowError):
-            raise UsageError(f"step takes a list of ranges, not {ranges_m!r}") from None
+            raise UsageError(
+                f"step takes a list of ranges in m, not {ranges_m!r}; NaN or None: no reading"
+            ) from None
+        if n != self._n_channels and self._given_m[0] == self._given_m[0]:
+            raise self._wrong_count(n)
         t = self._stepped_ns = kernel_time(t_ns)
         if self._checks_stamps:
             t = self._checked_stamp(t, n)
@@ -253,6 +266,12 @@ class Follower:
             store_footprint(self._memory, self._state, self._output)
         demand: NDArray[np.float64] = self._demand.copy()
         return demand
+
+    def _wrong_count(self, count: int) -> UsageError:
+        return UsageError(
+            f"step takes {self._n_channels} ranges, one per sensor of the configuration, not {count}; "
+            "NaN: no reading"
+        )
 
     def _checked_stamp(self, t_ns: int, n: int) -> int:
         """The step's time; readings whose timestamp must be wrong are dropped."""
@@ -298,7 +317,8 @@ class Follower:
             `cycle`, `height_m`, `slope`, `speed_mps`, `delta_h_m`, `error_m`, `demand` (6), `range_m` (per
             channel). In mode "adaptive" also `health`, `reason`, `faults`, `sigma_m`, `noise_m`,
             `roughness_m`, `late_s`, `latency_s`, `tau_s`, `permitted_variance_m`, `interval_size_m`,
-            `range_size`, `beams`, `preview_share`, `weights`, and `normal` (3) with several sensors
+            `range_size`, `beams`, `preview_share`, `weights`, and `normal` (3) once several
+            sensors have read
 
         Notes
         -----
