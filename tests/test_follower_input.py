@@ -107,6 +107,14 @@ def test_a_wrong_configuration_is_named(config):
         surffollow.Follower(config)
 
 
+@pytest.mark.parametrize(("key", "meant"), [("sensor", "sensors"), ("plants", "plant"), ("memry", "memory")])
+def test_a_mistyped_table_of_the_configuration_brings_its_name(key, meant):
+    with pytest.raises(ConfigError, match=f"unknown parameter '{key}'; did you mean {meant}"):
+        surffollow.Follower({key: 1})
+    with pytest.raises(ConfigError, match="known: sensors, plant, memory, mode"):
+        surffollow.Follower({"qqqq": 1})
+
+
 def test_a_refused_change_of_parameters_changes_nothing():
     f = surffollow.Follower(offset_m=0.1)
     with pytest.raises(ConfigError):

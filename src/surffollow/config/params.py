@@ -144,26 +144,38 @@ OLD_NAMES = {
 }
 
 
-def param_name(name: str) -> str:
-    """The full name of a parameter; ConfigError with the nearest names when there is none."""
+def param_name(name: str, others: Iterable[str] = ()) -> str:
+    """The full name of a parameter.
+
+    Parameters
+    ----------
+    name : with or without the ending of the name
+    others : keys beside the parameters that the error names, too
+
+    Raises
+    ------
+    ConfigError  there is none; the text has the nearest names
+    """
     name = OLD_NAMES.get(name, name)
     for ending in UNIT_ENDINGS:
         if name + ending in PARAMS:
             return name + ending
     import difflib
 
-    near = difflib.get_close_matches(name, PARAMS, n=3)
-    hint = f"; did you mean {' or '.join(near)}?" if near else f"; known: {', '.join(PARAMS)}"
+    known = (*others, *PARAMS)
+    near = difflib.get_close_matches(name, known, n=3)
+    hint = f"; did you mean {' or '.join(near)}?" if near else f"; known: {', '.join(known)}"
     raise ConfigError(f"unknown parameter {name!r}{hint}")
 
 
-def names_given(names: Iterable[str], where: str = "") -> dict[str, str]:
+def names_given(names: Iterable[str], where: str = "", others: Iterable[str] = ()) -> dict[str, str]:
     """Full name of every parameter that is named → its name as given.
 
     Parameters
     ----------
     names : of parameters, as `check_param` takes them
     where : for the text of the error, as in " under [follow]"
+    others : keys beside the parameters that the error names, too
 
     Raises
     ------
@@ -171,7 +183,7 @@ def names_given(names: Iterable[str], where: str = "") -> dict[str, str]:
     """
     given: dict[str, str] = {}
     for name in names:
-        add_given(given, param_name(name), name, where)
+        add_given(given, param_name(name, others), name, where)
     return given
 
 

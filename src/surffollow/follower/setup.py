@@ -20,6 +20,7 @@ from surffollow.units import parse_quantity
 Config = Mapping[str, Any] | str | Path | None
 
 MAX_MOUNT_M = 1e3
+TABLES = ("sensors", "plant", "memory")  # keys of the configuration that are no parameters
 # what differs from the service's defaults: readings come ready-made with timestamps of their own
 IN_PROCESS: dict[str, float] = {"mode": MODE_ADAPTIVE, "sensor_latency_ns": 0, "sensor_readings": 1}
 _MODES = {"default": "adaptive", "ours": "adaptive"}
@@ -66,7 +67,7 @@ def read_setup(config: Config, offset_m: float | None = None) -> FollowerSetup:
     if isinstance(data.get("mode"), str):
         data["mode"] = _MODES.get(data["mode"], data["mode"])
     if offset_m is not None:
-        names_given(data)  # else two names of the stand-off would pass
+        names_given(data, others=TABLES)  # else two names of the stand-off would pass
         data = {k: v for k, v in data.items() if param_name(k) != "offset_m"} | {"offset_m": offset_m}
     given = _given(data, plant, mounts)
     values = {name: spec.default for name, spec in PARAMS.items()} | IN_PROCESS
@@ -84,7 +85,7 @@ def _given(
     data: Mapping[str, Any], plant: Mapping[str, Any], mounts: list[dict[str, Any]]
 ) -> dict[str, float]:
     """The parameters that are given, in whichever way: full name → value; none in two ways."""
-    names, values = names_given(data), {}
+    names, values = names_given(data, others=TABLES), {}
     for full, name in names.items():
         values[full] = check_param(name, data[name])
     for key, value in plant.items():

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from surffollow.config.params import names_given, param_name
 from surffollow.errors import FaultError, UsageError
 from surffollow.follower import Follower
+from surffollow.follower.setup import TABLES
 from surffollow.record.columns import Columns
 from surffollow.record.csv_log import CsvLog
 from surffollow.units import parse_quantity
@@ -55,7 +56,7 @@ def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
     """
     near_m, far_m = columns.limits_m
     readings = log.range_m[np.isfinite(log.range_m)]
-    given = names_given(k for k in columns.follow if k not in TABLES_OF_FOLLOW)
+    given = names_given(k for k in columns.follow if k not in TABLES)
     sensor: dict[str, Any] = {
         "position_m": [parse_quantity(v, "m") for v in columns.mount.position],
         "orientation": list(columns.mount.orientation),
@@ -141,13 +142,12 @@ PAPER_SETTINGS = (
     "range_size",
     "sensor_latency_ns",
 )
-TABLES_OF_FOLLOW = ("memory", "plant", "sensors")  # of the follower's configuration: no parameters
 ADAPTIVE_IGNORES = ("ee_readings", "interval_size_m", "range_size", "pose_interpolate")
 
 
 def follow_notes(columns: Columns, mode: str) -> list[str]:
     """Settings of the column file's [follow] that the replay in this mode ignores, as text."""
-    names = {key: param_name(key) for key in columns.follow if key not in TABLES_OF_FOLLOW}
+    names = {key: param_name(key) for key in columns.follow if key not in TABLES}
     paper = mode == "paper"
     idle = [k for k, n in names.items() if (n not in PAPER_SETTINGS if paper else n in ADAPTIVE_IGNORES)]
     if not idle:
