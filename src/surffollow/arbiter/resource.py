@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import operator
+import struct
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -189,7 +192,7 @@ class Resource:
         Parameters
         ----------
         values : float
-            as many as the resource's command has, in the declared units
+            as many as the resource's command has, in the declared units; finite
         t_ns : int, optional
             when it was made, CLOCK_MONOTONIC [ns]; now when absent
         ref_t_ns : int
@@ -207,7 +210,8 @@ class Resource:
         Raises
         ------
         UsageError
-            another number of values
+            another number of values, a value that is no finite number, a time that is no whole number, or no
+            such pose; nothing was sent
 
         Notes
         -----
@@ -220,6 +224,12 @@ class Resource:
             raise UsageError(
                 f"{self.name!r} takes {self.n_values} values ({', '.join(self.fields)}), not {values!r}"
             )
+        try:
+            finite = math.isfinite(math.fsum(values))
+        except (TypeError, ValueError, OverflowError):
+            finite = False
+        if not finite:
+            raise self._no_numbers(values)
         mailbox_words = self._mailbox_words
         head = mailbox_words[_HEAD]
         if head - self._words[self._consumed] >= al.MAILBOX_ITEMS:
@@ -227,20 +237,54 @@ class Resource:
         now = _clock()
         at = _ITEMS + (head & _MASK) * _ITEM_BYTES
         t = now if t_ns is None else t_ns
-        if ref_t_ns == 0:
-            self._pack(
-                self._mailbox, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding
-            )
-        else:
-            pose = tuple(ref_pose) if ref_pose is not None else _NO_POSE  # not what the place held before
-            ex.COMMAND_AT_POSE.pack_into(
-                self._mailbox, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding, *pose
-            )
+        try:
+            if ref_t_ns == 0:
+                self._pack(
+                    self._mailbox, at, head + 1, self._command, token, t, ref_t_ns, *values, *self._padding
+                )
+            else:
+                pose = tuple(ref_pose) if ref_pose is not None else _NO_POSE  # not what the place held before
+                ex.COMMAND_AT_POSE.pack_into(
+                    self._mailbox,
+                    at,
+                    head + 1,
+                    self._command,
+                    token,
+                    t,
+                    ref_t_ns,
+                    *values,
+                    *self._padding,
+                    *pose,
+                )
+        except (struct.error, TypeError, OverflowError):
+            raise self._no_command(t, ref_t_ns, ref_pose) from None
         if FENCED:
             fence()
         mailbox_words[_HEAD] = head + 1
         mailbox_words[_HEARTBEAT] = now
         return True
+
+    def _no_numbers(self, values: tuple[Any, ...]) -> UsageError:
+        """The error that names the first value that is no finite number."""
+        for field, value in zip(self.fields, values, strict=True):
+            try:
+                finite = math.isfinite(math.fsum((value,)))
+            except (TypeError, ValueError, OverflowError):
+                finite = False
+            if not finite:
+                return UsageError(f"{field} of {self.name!r} is {value!r}; it must be a finite number")
+        return UsageError(f"values of {self.name!r} are too large: {values!r}")
+
+    def _no_command(self, t_ns: object, ref_t_ns: object, ref_pose: object) -> UsageError:
+        """The error that names the time or the pose that cannot be sent."""
+        for name, time_ns in (("t_ns", t_ns), ("ref_t_ns", ref_t_ns)):
+            try:
+                fits = abs(operator.index(time_ns)) < 1 << 63  # type: ignore[arg-type]
+            except TypeError:
+                fits = False
+            if not fits:
+                return UsageError(f"{name} must be a whole number of ns of CLOCK_MONOTONIC, not {time_ns!r}")
+        return UsageError(f"ref_pose is seven numbers x y z qx qy qz qw, not {ref_pose!r}")
 
     def relinquish(self) -> None:
         """Give control back, or leave the queue.
