@@ -180,6 +180,21 @@ def test_commands_reach_the_controller_within_limits_and_safe_when_late(arbiter,
         until(lambda: not reader.latest().safe)
 
 
+def test_a_reader_of_an_undeclared_resource_is_told_which_there_are(arbiter):
+    with pytest.raises(UsageError, match=r"no resource or combination 'arm'.* robot, camera, speaker"):
+        command_reader(arbiter.name, "arm")
+
+
+def test_a_reader_that_waits_for_a_resource_that_never_comes_says_so(make_arbiter):
+    server = make_arbiter()
+    with command_reader(server.name, "arm") as reader:
+        assert reader.refusal == ""
+        with server.running():
+            assert reader.latest().safe
+            assert "its resources are robot, camera, speaker" in reader.refusal
+        assert reader.refusal == ""
+
+
 @pytest.mark.parametrize(
     ("values", "options", "says"),
     [

@@ -6,10 +6,11 @@ import time
 from typing import NamedTuple
 
 from surffollow.arbiter import layout as al
+from surffollow.arbiter.observer import observe
 from surffollow.blocks.attached import AttachedBlock
 from surffollow.config.names import check_name
 from surffollow.config.trusted_users import trusted_owners
-from surffollow.errors import BlockError, NoPermissionError, NotRunningError
+from surffollow.errors import BlockError, NoPermissionError, NotRunningError, UsageError
 from surffollow.shm.closing import Closing
 
 _RETRY_NS = 20_000_000
@@ -83,6 +84,7 @@ class CommandReader(Closing):
 
     def __init__(self, name: str, resource: str, owner: int | str | None = None) -> None:
         owners = trusted_owners(owner)
+        self._name, self._resource, self._owner = name, resource, owner
         self._block = AttachedBlock(resource, check_name(f"{name}.{resource}"), al.Command, owners)
         self._next_try_ns = 0
         self._n, self._safe = 0, (0.0,) * al.VALUES
@@ -90,13 +92,38 @@ class CommandReader(Closing):
             self._block.attach_reader()
         except NoPermissionError:
             raise
-        except (NotRunningError, BlockError):
+        except NotRunningError:
+            unknown = self._undeclared()
+            if unknown:
+                raise UsageError(unknown) from None
+        except BlockError:
             pass  # a server that starts replaces what is no block of this release
 
     @property
     def refusal(self) -> str:
-        """Why the block that bears the name now is not read; empty: it is read, or there is none."""
-        return self._block.refusal
+        """Why no command is read; empty: one is read, or no server has started.
+
+        Either the block that bears the name now is not trusted, or the server declares no such resource.
+        """
+        return self._block.refusal or ("" if self._block.attached else self._undeclared())
+
+    def _undeclared(self) -> str:
+        """Why the server that runs has no such block; empty: it has one, or no server runs."""
+        try:
+            with observe(self._name, owner=self._owner) as watcher:
+                names, alive = watcher.resources, watcher.alive()
+        except (NotRunningError, BlockError):
+            return ""
+        if not alive:
+            return ""
+        try:
+            self._block.attach_reader()  # the board does not name combinations
+        except (NotRunningError, BlockError):
+            return (
+                f"arbiter {self._name!r} has no resource or combination {self._resource!r}; "
+                f"its resources are {', '.join(names)}"
+            )
+        return ""
 
     @property
     def attached(self) -> bool:
@@ -153,6 +180,8 @@ def command_reader(name: str, resource: str, *, owner: int | str | None = None) 
 
     Raises
     ------
+    UsageError
+        the arbiter runs, and has no such resource or combination. Of one that starts later `refusal` says so
     NoPermissionError
         a block of another user bears the name, or its mode forbids reading
     ConfigError
