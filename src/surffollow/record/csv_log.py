@@ -74,7 +74,8 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
 
     Raises
     ------
-    UsageError  unreadable, a column is missing, a number is none, time goes back; names file, line, column
+    UsageError  unreadable, a column is missing or there twice, a row has values beyond the columns, a number is
+        none, time goes back; names file, line, column
     """
     text = _text(path)
     names = _names(columns)
@@ -181,6 +182,11 @@ def _cells(
         for row in rows:
             if not any(cell.strip() for cell in row):
                 continue
+            if any(cell.strip() for cell in row[len(header) :]):
+                raise UsageError(
+                    f"{path}, line {rows.line_num}: {len(row)} values for {len(header)} columns; "
+                    "correct or remove the row"
+                )
             lines.append(rows.line_num)
             for name, optional in names.items():
                 cell = row[places[name]].strip() if places[name] < len(row) else ""
