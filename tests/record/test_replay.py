@@ -125,6 +125,7 @@ def test_behind_a_damaged_chunk_the_replay_goes_on_at_the_next_snapshot(
         # a chunk holds some 450 cycles, and a snapshot comes every 1000
         assert 4000 <= r.cycles < 6000
     assert report.cycles == again.cycles
+    assert (report.recovered, bool(again.recovered)) == ("", True)
     assert 0 < recovered.cycles - report.cycles < 1000
     text = report_text("bad.mcap", report)
     assert f"{report.cycles_not_replayed} cycles not replayed" in text

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 
 from surffollow.cli.convert import convert_command, recover_command
+from surffollow.cli.replay import report_text
 from surffollow.errors import UsageError
 from surffollow.record.channel_feed import ChannelFeed
 from surffollow.record.convert import convert
@@ -79,6 +80,10 @@ def test_a_cut_recording_is_recovered_up_to_its_last_whole_chunk(
     # THEN the new file is whole, has the cycles up to the cut, and names the damage
     after = replay_file(done.file)
     assert after.identical, after
+    assert (after.complete, after.damage) == (True, "")
+    assert "ends early" in after.recovered
+    assert f"RECOVERED from a damaged file: {after.recovered}" in report_text(done.file, after)
+    assert before.recovered == ""
     assert after.cycles == before.cycles == done.cycles > 0
     assert after.lost_bytes == done.lost_bytes == before.lost_bytes > 0
     with open(done.file, "rb") as file:

@@ -156,8 +156,8 @@ def report_text(file: str, report: object) -> str:
             f"DAMAGED: {r.damage}; {r.lost_bytes} bytes lost; {r.cycles_not_replayed} cycles not replayed "
             "(in the damage, and behind it up to the next snapshot); the other whole entries were compared"
         )
-    elif r.lost_bytes:
-        lines.append(f"recovered: {r.lost_bytes} bytes of the file that it was made of were lost")
+    if r.recovered:
+        lines.append(f"RECOVERED from a damaged file: {r.recovered}")
     if r.differing:
         lines.append(f"DIFFERENT: {r.differing} cycles; first {r.first_difference}")
     if r.states_differing:

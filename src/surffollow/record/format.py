@@ -25,6 +25,7 @@ SCHEMA_NAME = "surffollow.CycleLog"
 SCHEMA_ENCODING = "x-surffollow-layout"
 MESSAGE_ENCODING = "x-surffollow-words"
 SUMMARY_NAME = "surffollow.summary"
+RECOVERED_NAME = "surffollow.recovered"
 CLOCK_NAME = "surffollow.clock"
 # a killed recorder loses what is in its unfinished chunk: 0.4 s of a 1 kHz service
 CHUNK_BYTES = 128 * 1024

@@ -13,6 +13,7 @@ from surffollow.errors import RecordingError
 from surffollow.record.format import (
     FORMAT_VERSION,
     HEAD_WORDS,
+    RECOVERED_NAME,
     SCHEMA_ENCODING,
     SCHEMA_NAME,
     SUMMARY_NAME,
@@ -44,6 +45,7 @@ class RecordingReader(McapReader):
     layout : dict     what the schema record says (version, machine, hashes, …)
     summary : dict    what the recorder counted; empty when it was killed
     damage : Damage
+    recovered : dict  what `recover` lost when it wrote this file; empty: it did not
 
     Raises
     ------
@@ -54,6 +56,7 @@ class RecordingReader(McapReader):
         super().__init__(path)
         self.layout: dict[str, Any] = {}
         self.summary: dict[str, str] = {}
+        self.recovered: dict[str, str] = {}
         self._log_channel = -1
         self._find_layout()
 
@@ -106,6 +109,8 @@ class RecordingReader(McapReader):
                 name, values = read_metadata(body)
                 if name == SUMMARY_NAME:
                     self.summary = values
+                elif name == RECOVERED_NAME:
+                    self.recovered = values
 
 
 def _check_layout(path: Path, text: bytes) -> dict[str, Any]:

@@ -10,11 +10,10 @@ from mcap.writer import CompressionType, Writer
 
 from surffollow.errors import RecordingError, UsageError
 from surffollow.map.formats.atomic_file import check_not_read, replacing
-from surffollow.record.format import CHUNK_BYTES, HEAD_WORDS, SUMMARY_NAME, TOPIC
+from surffollow.record.format import CHUNK_BYTES, HEAD_WORDS, RECOVERED_NAME, SUMMARY_NAME, TOPIC
 from surffollow.record.mcap_reader import CHANNEL, MESSAGE, MESSAGE_HEAD, METADATA, SCHEMA, McapReader
 from surffollow.record.mcap_records import read_channel, read_metadata, read_schema
 
-RECOVERED_NAME = "surffollow.recovered"
 _CYCLES_AT = MESSAGE_HEAD.size + 8 * (HEAD_WORDS - 1)
 
 

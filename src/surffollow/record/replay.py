@@ -67,7 +67,8 @@ class ReplayReport:
     """Result of a replay.
 
     `identical` is true only when the file is whole and every demand, status and
-    snapshot of every segment came out with the same bits.
+    snapshot of every segment came out with the same bits. A file that `recover` made of one with a cut end
+    is whole up to the cut; `recovered` then names the damage of the file that it was made of.
 
     `cycles_not_replayed` counts cycles of damaged or missing parts of this file, and those behind them up
     to the next snapshot; cycles behind the last whole chunk are not known. `lost_cycles` is the
@@ -87,6 +88,7 @@ class ReplayReport:
     events: int = 0
     complete: bool = True
     damage: str = ""
+    recovered: str = ""
     lost_bytes: int = 0
     lost_cycles: int = 0
     lost_words: int = 0
@@ -250,7 +252,8 @@ def _conclude(report: ReplayReport, segments: _Segments, reader: RecordingReader
     if reader.damage or segments.faults:
         report.complete = False
         report.damage = "; ".join(str(x) for x in (reader.damage, segments.faults) if x)
-    # a recovered file is whole and lists what its source had lost
+    # a recovered file lists what its source had lost
+    report.recovered = reader.recovered.get("damage", "")
     before = reader.summary.get("lost_bytes", "0")
     report.lost_bytes = reader.damage.lost_bytes + (int(before) if before.isdigit() else 0)
     for name in ("lost_cycles", "lost_words", "losses", "restarts"):
