@@ -15,6 +15,7 @@ from surffollow.cli.plot import plot_command
 from surffollow.cli.replay import replay_command
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
+from surffollow.record.drawn_series import MAX_ROWS, drawn_series
 from surffollow.record.figure import new_figure, outliers, save_figure, spans
 from surffollow.record.latency_histogram import log_histogram
 from surffollow.record.plot_recording import forecast_errors, read_figure_data
@@ -85,6 +86,60 @@ def test_a_log_becomes_a_figure_with_its_outlier_gap_and_forecast(log: Path, tmp
     CliRunner().invoke(plot_command, words, catch_exceptions=False)
     for text in ("1 outlier", "no reading", "Forecast error by horizon", "0.5 s ahead", "from above"):
         assert text in words_of(out), text
+
+
+def figure_of(folder: Path, rows: list[str]) -> str:
+    """Text of the figure of a log with the columns t, d and n."""
+    (folder / "log.csv").write_text("\n".join(["t,d,n", *rows]) + "\n")
+    (folder / "columns.toml").write_text(COLUMNS)
+    out = folder / "log.svg"
+    words = [str(folder / "log.csv"), "--columns", str(folder / "columns.toml"), "--out", str(out)]
+    CliRunner().invoke(plot_command, words, catch_exceptions=False)
+    return words_of(out)
+
+
+def test_a_log_of_one_row_becomes_a_figure_without_numbers_that_are_none(tmp_path: Path) -> None:
+    text = figure_of(tmp_path, ["0,2,1"])
+    assert "nan" not in text.replace("no forecast", "")
+    assert text.count("no forecast has a reading to compare with") == 2
+    assert "the horizontal position does not change" in text
+    assert "1 row, 1 reading (" in text
+
+
+def test_a_figure_names_the_pauses_of_a_log_and_no_line_bridges_them(tmp_path: Path) -> None:
+    times = [k / 10 for k in range(200) if not 50 <= k < 150]
+    text = figure_of(tmp_path, [f"{t},{2.0 + 0.01 * t},{t}" for t in times])
+    assert "no rows in 1 pause, 10.1 s in all" in text
+
+
+@pytest.mark.parametrize("n", [200, 200_000])
+def test_a_series_is_drawn_whole_or_by_its_envelope_and_ends_at_pauses(n: int) -> None:
+    # GIVEN n rows with two pauses, a part without values and one great value
+    t = np.arange(n) * 1e-2
+    t[n // 2 :] += 0.1 * n * 1e-2
+    t[n - 1] += 0.1 * n * 1e-2
+    values = np.sin(np.arange(n))
+    values[n // 4 : n // 4 + n // 10] = np.nan
+    values[n // 8] = 9.0
+    # WHEN they are drawn
+    drawn = drawn_series(t, values)
+    # THEN the figure has a few thousand columns at most, and their range is that of the values
+    assert drawn.reduced == (n > MAX_ROWS)
+    assert drawn.t_s.size <= MAX_ROWS + 2
+    assert np.nanmax(drawn.high) == 9.0
+    assert np.nanmin(drawn.low) == np.nanmin(values)
+    assert (np.diff(drawn.t_s) >= 0.0).all()
+    known = np.isfinite(drawn.middle)
+    assert ((drawn.low <= drawn.middle) & (drawn.middle <= drawn.high))[known].all()
+    # THEN there is nothing between the sides of a pause, and nothing where there are no values
+    for before in (n // 2 - 1, n - 2):
+        after = int(np.searchsorted(drawn.t_s, t[before + 1] - 1e-9))
+        assert not known[after - 1]
+        assert known[after]
+        assert known[after - 2]
+    inside = (drawn.t_s > t[n // 4] + 3e-3 * t[-1]) & (drawn.t_s < t[n // 4 + n // 10 - 1] - 3e-3 * t[-1])
+    assert inside.any()
+    assert not known[inside].any()
 
 
 def test_a_map_file_becomes_a_figure(tmp_path: Path) -> None:

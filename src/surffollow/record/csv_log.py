@@ -74,8 +74,8 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
 
     Raises
     ------
-    UsageError  unreadable, a column is missing or there twice, a row has values beyond the columns, a number is
-        none, time goes back; names file, line, column
+    UsageError  unreadable, a column is missing or there twice, a row has values beyond the columns, a number
+        is none, time goes back; names file, line, column
     """
     text = _text(path)
     names = _names(columns)

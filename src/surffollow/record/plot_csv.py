@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from surffollow.record import figure as fg
 from surffollow.record.columns import Columns
 from surffollow.record.csv_replay import CsvReplay
+from surffollow.record.drawn_series import MAX_ROWS, draw_series, drawn_series, pauses, reduction
 from surffollow.record.forecast_scores import pair_forecasts, score_forecast
 
 # without a horizontal way of this many typical distances there is no map to draw
 _MIN_PATH = 1.0
+_MAX_POINTS = 20_000  # of the view from above
 
 
 def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | Path) -> Path:
@@ -46,30 +48,35 @@ def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | P
         _draw_ground(axes[0], t, replay, columns)
         _draw_readings(axes[1], t, replay)
         _draw_forecast(axes[2], t, replay, columns)
-        axes[0].set_xlim(0.0, max(float(t[-1]), 1e-3))
+        axes[0].set_xlim(*((0.0, float(t[-1])) if t[-1] > 0.0 else (-1.0, 1.0)))
         axes[2].set(xlabel=f"time [s] since {replay.log.t_s[0]:.6g} s of the log")
         _draw_scores(figure.add_subplot(grid[3, 0]), replay, columns)
-        _draw_path(figure, figure.add_subplot(grid[3, 1]), replay)
+        _draw_path(figure, figure.add_subplot(grid[3, 1]), replay, columns)
         fg.save_figure(figure, out)
     return Path(out)
 
 
 def _headline(file: str | Path, replay: CsvReplay) -> str:
     has = np.isfinite(replay.log.range_m)
-    return (
-        f"{Path(file).name}: {replay.log.elapsed_s()[-1]:.6g} s, {has.size} rows, {int(has.sum())} readings "
+    t = replay.log.elapsed_s()
+    after = pauses(t)
+    text = (
+        f"{Path(file).name}: {t[-1]:.6g} s, {_count(has.size, 'row')}, {_count(int(has.sum()), 'reading')} "
         f"({1.0 - has.mean():.1%} of the rows without), {replay.mode} mode"
     )
+    if after.size:
+        text += f"\nno rows in {_count(after.size, 'pause')}, {np.sum(t[after + 1] - t[after]):.3g} s in all"
+    return text
+
+
+def _count(n: int, word: str) -> str:
+    return f"{n} {word}" if n == 1 else f"{n} {word}s"
 
 
 def _gaps(t: NDArray[np.float64], replay: CsvReplay) -> list[tuple[float, float]]:
     """Spans without a reading: rows that have none, and pauses of five usual intervals."""
     has = np.isfinite(replay.log.range_m)
-    found = fg.spans(t, ~has)
-    step = np.diff(t)
-    usual = float(np.median(step)) if step.size else 0.0
-    pauses = np.flatnonzero((step > 5.0 * usual) & (usual > 0.0)).tolist()
-    return found + [(float(t[k]), float(t[k + 1])) for k in pauses]
+    return fg.spans(t, ~has) + [(float(t[k]), float(t[k + 1])) for k in pauses(t)]
 
 
 def _draw_ground(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Columns) -> None:
@@ -79,14 +86,15 @@ def _draw_ground(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Co
     reference = replay.log.reference_m
     factor, unit = fg.length_scale(np.concatenate([ground, vehicle]))
     fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
-    ax.plot(t, ground * factor, ".", ms=2.5, color=fg.GREY, label="target points")
-    ax.plot(t, replay.height_m * factor, color=fg.INK, lw=0.9, label="surface, as the follower has it")
+    draw_series(ax, drawn_series(t, ground * factor), fg.GREY, "target points", style=".")
+    draw_series(ax, drawn_series(t, replay.height_m * factor), fg.INK, "surface, as the follower has it")
     if reference is not None and columns.reference is not None:
-        ax.plot(t, reference * factor, color=fg.GREEN, lw=0.9, label=f"reference: {columns.reference.column}")
-    ax.plot(t, vehicle * factor, color=fg.BLUE, lw=1.0, label="vehicle")
+        label = f"reference: {columns.reference.column}"
+        draw_series(ax, drawn_series(t, reference * factor), fg.GREEN, label)
+    draw_series(ax, drawn_series(t, vehicle * factor), fg.BLUE, "vehicle", lw=1.0)
     fg.mark_outliers(ax, t, ground * factor, odd)
     ax.set_ylim(*fg.with_room(np.concatenate([ground, vehicle]) * factor))
-    ax.set_title("Ground and vehicle")
+    ax.set_title("Ground and vehicle" + reduction(t))
     ax.set(ylabel=f"height [{unit}]")
     ax.legend(loc="upper right", ncols=3, markerscale=2)
 
@@ -96,10 +104,10 @@ def _draw_readings(ax: Any, t: NDArray[np.float64], replay: CsvReplay) -> None:
     odd = fg.outliers(readings)
     factor, unit = fg.length_scale(readings)
     fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
-    ax.plot(t, readings * factor, ".-", ms=2.5, lw=0.6, color=fg.BLUE, label="reading")
+    draw_series(ax, drawn_series(t, readings * factor), fg.BLUE, "reading", lw=0.6, style=".-")
     fg.mark_outliers(ax, t, readings * factor, odd)
     ax.set_ylim(*fg.with_room(readings * factor))
-    ax.set_title("Distance" if not replay.depth else "Depth")
+    ax.set_title(("Distance" if not replay.depth else "Depth") + reduction(t))
     ax.set(ylabel=f"{'distance' if not replay.depth else 'depth'} [{unit}]")
     ax.legend(loc="upper right", ncols=3, markerscale=2)
 
@@ -109,6 +117,7 @@ def _draw_forecast(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: 
     pairs = pair_forecasts(replay, columns, 0)
     predicted, still = pairs.forecast_m - pairs.truth_m, pairs.present_m - pairs.truth_m
     both = np.concatenate([predicted, still])
+    every = -(-max(predicted.size, 1) // MAX_ROWS)
     factor, unit = fg.length_scale(both)
     fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
@@ -116,16 +125,24 @@ def _draw_forecast(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: 
         (still, fg.GREY, "no change"),
         (predicted, fg.ORANGE, "forecast"),
     ):
-        text = f"{label}: RMS {fg.rms(values) * factor:.3g} {unit}"
-        ax.plot(pairs.t_s, values * factor, ".", ms=2.5, color=color, label=text)
+        if values.size:
+            text = f"{label}: RMS {fg.rms(values) * factor:.3g} {unit}"
+            # a cloud of points: an envelope would hide the one below the other
+            ax.plot(pairs.t_s[::every], values[::every] * factor, ".", ms=2.5, color=color, label=text)
     low, high = fg.robust_limits(both * factor)
     reach = max(abs(low), abs(high))
     ax.set_ylim(-reach, 1.35 * reach)
     outside = int(np.sum(np.abs(both * factor) > reach))
-    beyond = f" ({outside} beyond the axis)" if outside else ""
-    ax.set_title(f"Distance {columns.horizons_s[0]:g} s ahead: forecast less the reading that came{beyond}")
+    notes = [f"{outside} beyond the axis"] * (outside > 0) + [f"1 of {every} drawn"] * (every > 1)
+    ax.set_title(
+        f"Distance {columns.horizons_s[0]:g} s ahead: forecast less reading"
+        + f" ({', '.join(notes)})" * bool(notes)
+    )
     ax.set(ylabel=f"error [{unit}]")
-    ax.legend(loc="upper right", ncols=3, markerscale=3)
+    if both.size:
+        ax.legend(loc="upper right", ncols=3, markerscale=3)
+    else:
+        ax.text(0.02, 0.9, "no forecast has a reading to compare with", va="top", transform=ax.transAxes)
 
 
 def _draw_scores(ax: Any, replay: CsvReplay, columns: Columns) -> None:
@@ -148,7 +165,7 @@ def _draw_scores(ax: Any, replay: CsvReplay, columns: Columns) -> None:
     ax.legend(loc="upper left")
 
 
-def _draw_path(figure: Any, ax: Any, replay: CsvReplay) -> None:
+def _draw_path(figure: Any, ax: Any, replay: CsvReplay, columns: Columns) -> None:
     has = np.isfinite(replay.target_m).all(axis=1)
     points = replay.target_m[has]
     way = np.ptp(points[:, :2], axis=0)
@@ -156,9 +173,13 @@ def _draw_path(figure: Any, ax: Any, replay: CsvReplay) -> None:
     if float(np.hypot(*way)) < _MIN_PATH * typical * 1e-3 or float(np.hypot(*way)) == 0.0:
         ax.axis("off")
         ax.set_title("Way")
-        ax.text(0.0, 0.9, "the log has no horizontal position", va="top", transform=ax.transAxes)
+        place = columns.position
+        known = place is not None and (place.north is not None or place.east is not None)
+        text = "the horizontal position does not change" if known else "the log has no horizontal position"
+        ax.text(0.0, 0.9, text, va="top", transform=ax.transAxes)
         return
     factor, unit = fg.length_scale(points[:, 2])
+    points = points[:: -(-len(points) // _MAX_POINTS)]
     image = ax.scatter(points[:, 0], points[:, 1], c=points[:, 2] * factor, s=4, cmap="viridis", lw=0)
     figure.colorbar(image, ax=ax, label=f"height [{unit}]", shrink=0.9, aspect=25)
     ax.set_title("Target points from above")
