@@ -158,13 +158,16 @@ def line_of(f: dict[str, Any]) -> str:
     """The figures in one line; "-" for figures that the run was too short for."""
     import math
 
-    def shown(value: float, form: str) -> str:
-        return "-" if math.isnan(value) else format(value, form)
+    def shown(value: float, form: str, unit: str) -> str:
+        return "-" if math.isnan(value) else format(value, form) + unit
 
+    repeatability = math.degrees(f["heading_repeatability_rad"])
+    repeats = "heading repeatability only from two laps on"
+    if not math.isnan(repeatability):
+        repeats = f"heading repeats within {repeatability:.2f}°"
     return (
-        f"distance RMS {shown(1e3 * f['distance_rms_m'], '.0f')} mm, heading repeats within "
-        f"{shown(math.degrees(f['heading_repeatability_rad']), '.2f')}°, off the wall by "
-        f"{shown(math.degrees(f['heading_rms_rad']), '.2f')}° RMS, least gap {1e3 * f['least_gap_m']:.0f} "
-        f"mm, {f['contacts']:.0f} contacts of {f['contact_s']:.1f} s, {f['laps']:.2f} laps in "
-        f"{f['seconds']:.0f} s"
+        f"distance RMS {shown(1e3 * f['distance_rms_m'], '.0f', ' mm')}, {repeats}, off the wall by "
+        f"{shown(math.degrees(f['heading_rms_rad']), '.2f', '°')} RMS, "
+        f"least gap {1e3 * f['least_gap_m']:.0f} mm, {f['contacts']:.0f} contacts of {f['contact_s']:.1f} s, "
+        f"{f['laps']:.2f} laps in {f['seconds']:.0f} s"
     )
