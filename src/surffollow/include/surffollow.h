@@ -2649,6 +2649,8 @@ static inline int sf_stop_now(sf_client *c) {
 /*
  * Leave the latched stop; the forecast restarts with the stand-off in force. SF_OK, SF_REFUSED_NOT_POSE_HOLDER
  * (`detail` of the client: the pose's holder, 0: none), or SF_REFUSED_STOP_REMAINS (`detail`: SF_STOP_... causes).
+ * After a restart of the service (cause SF_STOP_RESTART) the stand-off and all parameters are those of its
+ * configuration: call sf_sf_reset and sf_set_params with yours first. sf_read_params reads those in force.
  */
 static inline int sf_stop_reset(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
