@@ -48,6 +48,15 @@ class PartLibrary(JITCodeLibrary):
         elif library is not rtsys.library:  # a whole links it
             super().add_linking_library(library)
 
+    def add_ir_module(self, ir_module: Any) -> None:
+        """Give numba's text of the kernel to LLVM; without its circles it needs no collection of garbage."""
+        super().add_ir_module(ir_module)
+        for function in ir_module.functions:
+            for block in function.blocks:
+                block.instructions.clear()
+            function.blocks.clear()
+        ir_module.globals.clear()
+
     def finalize(self) -> None:
         """Add what the kernel uses of numba's functions, under names that no other module sees."""
         for library in dict.fromkeys(self._linking_libraries):
