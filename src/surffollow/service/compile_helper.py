@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import fcntl
+import gc
 import hashlib
 import os
 import signal
@@ -143,12 +144,14 @@ def main(parent: int, with_sensors: bool = False) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it died before the line above
         return
+    gc.disable()  # a process that ends in 20 s: a tenth less time, and memory that it gives back at its end
     with open(Path(cache_directory(), ".compile_helper"), "a") as lock_file:
         with contextlib.suppress(OSError):
             fcntl.flock(lock_file, fcntl.LOCK_EX)
         compile_share()
         if with_sensors:
             simulated.warm_up()
+    os._exit(0)  # Python would free each of its millions of objects
 
 
 if __name__ == "__main__":
