@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 from numba.core import compiler, event, funcdesc, sigutils, types, typing
@@ -51,6 +51,12 @@ def _holds_array(kind: Any) -> bool:
     return isinstance(kind, types.Array) or (
         isinstance(kind, types.BaseTuple) and any(map(_holds_array, kind.types))
     )
+
+
+@cache
+def _size_of(context: Any, kind: Any) -> int:
+    """Size of an LLVM type, for which numba writes, and LLVM parses, a module each time [bytes]."""
+    return int(context.get_abi_sizeof(kind))
 
 
 class Kernel(CPUDispatcher):
@@ -150,7 +156,9 @@ class Kernel(CPUDispatcher):
         library = PartLibrary(context.codegen(), f"{self.name}.{tag}", own[self.name])
         result = compiler.compile_extra(
             self.typingctx,
-            context.subtarget(mangler=named, add_dynamic_addr=address),
+            context.subtarget(
+                mangler=named, add_dynamic_addr=address, get_abi_sizeof=partial(_size_of, context)
+            ),
             self.py_func,
             _Types(args),
             None,
@@ -191,10 +199,10 @@ class Kernel(CPUDispatcher):
         """The part of this tag from memory or disk; None when it, or one that it calls, is in neither."""
         if tag in self._parts or tag.startswith(HERE):
             return self._parts.get(tag)
-        self.targetctx.refresh()
         kept = self._kept.load("part", tag)
         if kept is None:
             return None
+        self.targetctx.refresh()
         bitcode, names, fndesc, environment, signature, reload_init = kept
         codegen = self.targetctx.codegen()
         library = PartLibrary(codegen, f"{self.name}.{tag}", self._symbol(tag), bitcode)
