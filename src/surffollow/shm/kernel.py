@@ -24,6 +24,7 @@ from surffollow.shm.kernel_pipeline import KernelPipeline
 from surffollow.shm.kernel_tag import HERE, tag_of
 from surffollow.shm.source_stamp import path_in_package
 from surffollow.shm.typing_memory import remembered
+from surffollow.shm.variable_lifetimes import lifetimes_when_used
 
 
 class _Types(tuple[Any, ...]):
@@ -131,7 +132,8 @@ class Kernel(CPUDispatcher):
                 about = {"dispatcher": self, "args": args, "return_type": None}
                 self._compiling = True
                 try:
-                    with event.trigger_event("numba:compile", data=about), remembered(self.typingctx):
+                    compiling = event.trigger_event("numba:compile", data=about)
+                    with compiling, remembered(self.typingctx), lifetimes_when_used():
                         part = self._compile_part(args, tag)
                 finally:
                     self._compiling = False
