@@ -1,6 +1,6 @@
 """Find which variables of a kernel are alive where only for the steps that use it.
 
-numba finds it after each of its steps, seven times per function. Two of them use it, which write down where a
+numba finds it after each of its steps, eight times per kernel. Two of them use it, which write down where a
 variable ends. Else only generators, `with` blocks and object mode do, which kernels have not.
 """
 
