@@ -44,3 +44,17 @@ def test_the_bias_of_a_sensor_ahead_is_found_whole():
     print(f"RMS {1e3 * rms:.3f} mm, bias {1e3 * bias:.2f} mm")
     assert abs(bias - 1e-3) < 0.1e-3
     assert rms < 0.1e-3
+
+
+def test_the_bias_of_a_sensor_ahead_is_not_that_of_the_map():
+    """On the way back the memory is the known ground: it is of channel 0, and has no bias."""
+
+    def way(t: float) -> float:
+        return 0.1 * t if t < 6.0 else max(0.6 - 0.1 * (t - 6.0), 0.0)
+
+    _, errors = travel(way, 9.0, 1.4e-3)
+    back = errors[6200:7200]
+    rms, mean = float(np.sqrt(np.mean(back**2))), float(np.mean(back))
+    print(f"RMS on the way back {1e3 * rms:.3f} mm, mean {1e3 * mean:.3f} mm")
+    assert rms < 0.15e-3
+    assert abs(mean) < 0.05e-3
