@@ -204,4 +204,5 @@ class Rotation(Schema):
     run_ns = I64(unit="ns", doc="when the run began")
     run_axis = F64(3, unit="1", doc="the tool's axis then, world frame")
     test_axis = F64(3, unit="1", doc="direction to which the test turns the tool back")
+    test_ns = I64(unit="ns", doc="when the test began, or was last not applied")
     samples = I64(doc="samples of the run; of the test, since the tool is half the way back")
