@@ -30,7 +30,8 @@ def is_recent(beams, c, t_ns):
 def choose_reference(params, beams, sense):
     """Choose the reference channel, whose samples are the follower's; -1: none.
 
-    The present one stays while it delivers samples and is accepted.
+    The present one stays while it delivers samples and is accepted. A caller in process may give one channel
+    per step: a channel without a range in this step is not silent.
     """
     newest = 0
     for c in range(params.n_channels):
@@ -40,7 +41,7 @@ def choose_reference(params, beams, sense):
     best, lowest = beams.reference, 3
     for k in range(params.n_channels):
         c = (beams.reference + k) % params.n_channels
-        silent = sense.valid[c] == 0 or newest - beams.t_ns[c] > MISSING_NS
+        silent = sense.window_n[c] == 0 or newest - beams.t_ns[c] > MISSING_NS
         rank = 2 if silent else 1 - beams.accepted[c]
         if rank < lowest:
             best, lowest = c, rank
