@@ -16,7 +16,7 @@ from surffollow.forecast.plant.plant_identification import (
     setpoint_in_force,
 )
 from surffollow.forecast.pose import push_pose
-from surffollow.forecast.sensing.latency_identification import update_correction
+from surffollow.forecast.sensing.latency_identification import observe_height, update_correction
 from surffollow.forecast.sensing.range_prediction import predict_range, return_gain, update_prediction
 from surffollow.forecast.sensing.sample_hold import count_m, record_sample, reset_hold
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
@@ -26,6 +26,7 @@ from surffollow.forecast.terrain.terrain_memory import CELLS, new_memory, read_h
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_follow import SenseState
 
 from .feeding import MS, default_params, feed
 
@@ -495,6 +496,23 @@ def test_a_latency_needs_sixty_samples_of_one_rest(samples, identified):
     latency["height_height"] = 0.02**2 * latency["climb_climb"]
     update_correction(a, True)
     assert float(latency["correction_s"]) == pytest.approx(0.02 if identified else 0.0, rel=0.1)
+
+
+@pytest.mark.parametrize("glitch_m", [0.0, 0.02])
+def test_a_rest_that_begins_with_a_glitch_identifies_the_latency(glitch_m):
+    """GIVEN ranges that are 20 ms old WHEN the first one of a rest is a glitch THEN the others count.
+
+    They were all compared with the glitch, and none was near.
+    """
+    a, sense, rng, pose = zeros(AdaptiveState)[0], zeros(SenseState)[0], np.random.default_rng(0), np.zeros(7)
+    a["noise"]["sigma_m"] = 2e-4
+    for k in range(700):
+        t, t_ns = 4e-3 * k, 10**9 + 4 * k * MS
+        push_pose(sense, t_ns, np.array([0.0, 0.0, bobbing_m(t), 0.0, 0.0, 0.0, 1.0]), 0)
+        h = bobbing_m(t) - bobbing_m(t - 0.02) + 2e-4 * rng.standard_normal()
+        if k >= 20:
+            observe_height(a, sense, t_ns, h + (glitch_m if k == 20 else 0.0), True, True, pose)
+    assert float(a["latency"]["correction_s"]) == pytest.approx(0.02, abs=2e-3)
 
 
 def test_the_count_of_a_sensor_is_its_least_change_of_many():

@@ -46,6 +46,7 @@ class Latency(Schema):
     correction_s = F64(unit="s", doc="age of ranges beyond the configured latency, as identified")
     configured_ns = I64(unit="ns", doc="sensor_latency_ns that the correction belongs to")
     count = I64(doc="samples of the present rest")
+    far = I64(doc="samples in a row that are far from its mean height")
     mean_climb_mps = F64(unit="m/s", doc="mean climb rate over the rest")
     mean_height_m = F64(unit="m", doc="mean height over the rest")
     climb_climb = F64(unit="m^2/s^2", doc="sum of squared deviations of the climb rate")
