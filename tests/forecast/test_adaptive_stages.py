@@ -16,7 +16,12 @@ from surffollow.forecast.plant.plant_identification import (
     setpoint_in_force,
 )
 from surffollow.forecast.pose import push_pose
-from surffollow.forecast.sensing.latency_identification import observe_height, update_correction
+from surffollow.forecast.sensing.latency_identification import (
+    is_late,
+    observe_height,
+    update_correction,
+    update_delay,
+)
 from surffollow.forecast.sensing.range_prediction import predict_range, return_gain, update_prediction
 from surffollow.forecast.sensing.sample_hold import count_m, record_sample, reset_hold
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
@@ -496,6 +501,17 @@ def test_a_latency_needs_sixty_samples_of_one_rest(samples, identified):
     latency["height_height"] = 0.02**2 * latency["climb_climb"]
     update_correction(a, True)
     assert float(latency["correction_s"]) == pytest.approx(0.02 if identified else 0.0, rel=0.1)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 1e-6])
+def test_one_late_sample_among_those_without_a_delay_is_not_the_usual_one(delay_s):
+    """A usual delay of 0 counted as not known: one sample 0.3 s late made it 0.3 s."""
+    params, a, late = default_params(), zeros(AdaptiveState)[0], 0
+    a["plant"]["tau_s"], a["prediction"]["interval_s"] = 0.04, 0.004
+    for k in range(200):
+        update_delay(a["latency"], 0.3 if k == 100 else delay_s, 0.004)
+        late += is_late(params, a)
+    assert late == 0
 
 
 @pytest.mark.parametrize("glitch_m", [0.0, 0.02])

@@ -41,8 +41,9 @@ class Hold(Schema):
 class Latency(Schema):
     """Delay of samples, and the identified error of the configured latency (`latency_identification`)."""
 
+    known = I64(doc="1: delays are known")
     delay_s = F64(unit="s", doc="usual delay: arrival − timestamp")
-    least_s = F64(unit="s", doc="least delay, which grows slowly; 0: not known")
+    least_s = F64(unit="s", doc="least delay, which grows slowly")
     correction_s = F64(unit="s", doc="age of ranges beyond the configured latency, as identified")
     configured_ns = I64(unit="ns", doc="sensor_latency_ns that the correction belongs to")
     count = I64(doc="samples of the present rest")

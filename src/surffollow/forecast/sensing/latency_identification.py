@@ -11,7 +11,7 @@ import math
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import newest_pose, pose_at
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, FULL_POWER_SAMPLES, USUAL_SAMPLES
-from surffollow.forecast.sensing import clock, kinematics
+from surffollow.forecast.sensing import kinematics
 from surffollow.shm.jit import jit
 
 MAX_LATENCY_S = 0.1  # greater ones have to be configured
@@ -29,8 +29,11 @@ def reset_window(latency):
 @jit
 def update_delay(latency, delay_s, interval_s):
     """Update the usual and the least delay with that of a sample, at the usual interval [s]."""
-    latency.delay_s = clock.follow_usual(latency.delay_s, delay_s)
-    least_s = min(latency.least_s, delay_s) if latency.least_s != 0.0 else delay_s
+    if latency.known == 0:  # 0 is a delay, too: in process a sample may have none
+        latency.known, latency.delay_s, latency.least_s = 1, delay_s, delay_s
+        return
+    latency.delay_s += (delay_s - latency.delay_s) / USUAL_SAMPLES
+    least_s = min(latency.least_s, delay_s)
     # it grows within 20 s: clocks drift by 100 ppm
     latency.least_s = least_s + min(interval_s / 20.0, 1.0) * (delay_s - least_s)
 
