@@ -62,7 +62,6 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         estimate.confirmed_ns = estimate.in_frame_ns = t_ns
     estimate.settle_ns = t_ns + 60_000_000  # the performance index waits until setpoints have acted
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
-    store_ground_under(adaptive, estimate.arc_length_m, h_m)
     blend_models(adaptive)
 
 
@@ -213,5 +212,4 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         # while samples are from before the newest jump of the frame, the tool holds its height
         if t_ns >= kinematics.jump_ns:
             estimate.in_frame_ns = t_ns
-    store_ground_under(adaptive, estimate.arc_length_m, h_m)
     return True

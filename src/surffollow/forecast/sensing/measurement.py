@@ -13,7 +13,7 @@ from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.forecast.sensing import clock, health, kinematics, latency_identification, response, standoff
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
-from surffollow.forecast.terrain import known_ground, preview
+from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import RUN_FREEZE
 
@@ -65,8 +65,11 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
         ahead = kinematics.distance_along(adaptive.kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
-    if not estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapt):
+    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapt)
+    sample.arc_length_m = adaptive.estimate.arc_length_m  # an initialisation advances it farther
+    if not entered:
         return
+    terrain_buffer.store_ground_under(adaptive, sample.arc_length_m, h)
     preview.observe_ground(adaptive, h, adapt)
     if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
         adaptation.update_deadband(params, adaptive)
