@@ -196,6 +196,22 @@ def test_a_setpoint_keeps_its_limits_and_arrives_without_overshoot():
         assert np.abs(path).max() <= 1.01 * abs(expected)
 
 
+@pytest.mark.parametrize(("share", "ratio"), [(0.0, 1.0), (0.5, 2.0), (1.0, 3.0)])
+def test_a_setpoint_of_a_plan_may_be_three_times_as_quick(share, ratio):
+    """A plan is farther ahead of the axis: 2 to 6 times `plant_v_max`, 20 to 60 times `plant_a_max`."""
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    params["max_speed_mps"] = params["max_accel_mps2"] = params["max_jerk_mps3"] = 1e6
+    params["plant_v_max_mps"], params["plant_a_max_mps2"] = 0.2, 2.0
+    a["preview"]["share"] = share
+    speed, accel = [], []
+    for k in range(200):
+        limit_setpoint(params, a, 10**9 + k * MS, 10.0, 0.0)
+        speed.append(float(a["setpoint"]["velocity_mps"]))
+        accel.append(float(a["setpoint"]["acceleration_mps2"]))
+    assert max(speed) == pytest.approx(ratio * 0.4, rel=0.02)
+    assert max(accel) == pytest.approx(ratio * 40.0, rel=0.02)
+
+
 def test_the_terrain_buffer_returns_stored_heights_and_nothing_else():
     a = zeros(AdaptiveState)[0]
     for s in np.arange(0.1, 0.3, 0.4e-3):

@@ -38,3 +38,18 @@ def test_a_jump_along_the_way_does_not_turn_the_slope_of_a_slow_sensor(jump_m, j
     print(f"slope {min(after):.3f} to {max(after):.3f}, least clearance {1e3 * lowest:.1f} mm")
     assert min(after) > 0.15
     assert lowest > 0.096
+
+
+@pytest.mark.parametrize("jump_m", [0.0, 0.3])
+def test_drops_that_were_confirmed_before_a_jump_allow_no_descent_behind_it(jump_m):
+    """Known ground from before the jump lies elsewhere: plans descend by 3 mm at most again."""
+    f, rng = Follower({"memory": False}, offset_m=0.1), np.random.default_rng(1)
+    known = f._state["adaptive"]["known"]
+    for k in range(120):
+        t = 10**9 + 4 * k * MS
+        f.pose(t, (4e-4 * k + (jump_m if k >= 110 else 0.0), 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        f.step(t, [0.1 + 1e-4 * rng.standard_normal()])
+        if k == 100:
+            known["descent_m"], known["peak_m"], known["contradictions"] = 0.02, 0.01, 1
+    left = [float(known[name][0]) for name in ("descent_m", "peak_m", "contradictions")]
+    assert left == ([0.0, 0.0, 0.0] if jump_m else [0.02, 0.01, 1.0])
