@@ -10,7 +10,7 @@ BEAMS = 8
 class Clock(Schema):
     """Time of the follower (`clock`)."""
 
-    now_ns = I64(unit="ns", doc="latest time of any step")
+    now_ns = I64(unit="ns", doc="latest timestamp of steps and poses")
 
 
 class Kinematics(Schema):
@@ -66,7 +66,7 @@ class Sample(Schema):
     x_m = F64(unit="m", doc="footprint")
     y_m = F64(unit="m")
     arc_length_m = F64(unit="m", doc="its arc length")
-    heading_x = F64(unit="1", doc="unit vector of the tool's lateral velocity then; 0: at rest")
+    heading_x = F64(unit="1", doc="unit vector of the way, by velocity; slow sensors: by footprints; 0: none")
     heading_y = F64(unit="1")
     spacing_m = F64(unit="m", doc="usual distance travelled between samples")
 

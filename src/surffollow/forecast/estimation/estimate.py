@@ -33,7 +33,10 @@ def blend_models(adaptive):
 
 @jit
 def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
-    """Initialise with level ground at the first height; the performance index from before a loss stays.
+    """Initialise with level ground at the first height.
+
+    Performance index, weights, noise, usual innovation and likelihood of slots from before a loss stay. The
+    index fades soon: each new error counts as in a mean over the samples since (`update_index`).
 
     Parameters
     ----------
@@ -139,7 +142,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     t_ns : int64             timestamp, later than that of the sample before
     travel_m : float64       distance travelled by the footprint since the sample before [m], ≥ 0
     h_m : float64            height of the footprint [m]
-    standoff_m : float64     wanted height of the tool above the ground [m]
+    standoff_m : float64     desired height of the tool above the ground [m]
     adapt : bool             False: index, weights and noise stay as they are
     """
     gate, bank, estimate, kinematics = adaptive.gate, adaptive.bank, adaptive.estimate, adaptive.kinematics
