@@ -154,7 +154,7 @@ def is_blocked(params, adaptive, c):
 
 @jit
 def plausible_bend_m(params, adaptive):
-    """How far ground with a radius of curvature of the stand-off leaves its plane under the farthest beam [m].
+    """How far ground as curved as a sphere of the stand-off leaves its plane under the farthest beam [m].
 
     A twentieth of the stand-off at most: wide rings meet such ground seldom, and faults as large do harm.
     """
