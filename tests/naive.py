@@ -220,8 +220,8 @@ class NaiveFollower:
             newest = self.windows[c][-1][0]
             if self.last_sample_ns[c] is not None:
                 gap, usual = newest - self.last_sample_ns[c], self.spacing_ns[c]
-                slower = usual > 0 and gap >= usual
-                self.spacing_ns[c] = usual + (gap - usual) // 8 if slower else max(gap, 1)
+                if gap > 0:
+                    self.spacing_ns[c] = usual + (gap - usual) // 8 if 0 < usual <= gap else gap
             self.last_sample_ns[c] = newest
             last = self.windows[c][-expected:]
             if len(last) < expected:

@@ -16,6 +16,8 @@ from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.terrain.preview import PREDICTION_M, extrapolate_ground
 from surffollow.shm.layout_adaptive import HORIZON
 
+from .feeding import feed
+
 SPEED_MPS, LEAD_M, STANDOFF_M = 0.4, 0.05, 0.1
 MS = 1_000_000
 KNOWN = 8
@@ -75,6 +77,19 @@ def test_the_extrapolation_begins_at_the_end_rises_by_45_degrees_at_most_and_end
         x, (_, got) = extrapolated(lambda s, t=table: float(np.interp(s / 5e-3, np.arange(1000), t)), 1.0)
         assert np.all(np.abs(got) <= x + 1e-9)
         assert np.ptp(got[x > 2 * PREDICTION_M]) == 0.0
+
+
+def test_the_extrapolation_returns_to_the_mean_by_the_share_of_the_error_of_predictions() -> None:
+    """E = O: the share is 1.5/2 in 40 mm."""
+    a, _ = feed([0.0] * 200, sigma=0.0)
+    step = SPEED_MPS * PERIOD_S
+    a["kinematics"]["speed_mps"] = SPEED_MPS
+    a["preview"]["error_m2"] = a["preview"]["offset_m2"] = 5e-3**2
+    a["preview"]["ground_m"][:KNOWN] = 5e-3
+    extrapolate_ground(a, KNOWN, -step * (KNOWN - 1))
+    x = np.minimum(step * np.arange(1, HORIZON - KNOWN + 1), 2.0 * PREDICTION_M)
+    expected = 5e-3 * (1.0 - np.minimum(0.75 * x / PREDICTION_M, 1.0))
+    np.testing.assert_allclose(a["preview"]["ground_m"][KNOWN:], expected, atol=2e-5)
 
 
 def test_boxes_come_to_an_end_and_so_do_the_hollows_between_them() -> None:

@@ -8,8 +8,10 @@ import pytest
 from surffollow.follower import Follower
 from surffollow.forecast.estimation.estimate import update_estimate
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
+from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
 from .feeding import MS, default_params, feed
 
@@ -222,3 +224,18 @@ def test_a_plan_that_comes_and_goes_does_not_throw_the_setpoint_beyond_its_targe
         lowest_m = min(lowest_m, float(a["setpoint"]["position_m"]))
     print(f"{-1e3 * lowest_m - 20.0:.3f} mm beyond the target")
     assert lowest_m > -0.021
+
+
+def test_the_first_cell_behind_an_initialisation_lies_at_its_footprint():
+    """It lay half a metre ahead: the path was advanced, and the sample was not."""
+    f, rng = Follower({"memory": False}, offset_m=0.1), np.random.default_rng(1)
+    for k in range(42):
+        t = 10**9 + 4 * k * MS
+        f.pose(t, (4e-4 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        f.step(t, [0.1 + 1e-4 * rng.standard_normal()])
+        if k == 40:
+            f.reset()
+    a = f._state["adaptive"][0]
+    cell = int(a["estimate"]["arc_length_m"] / CELL_M) & (BUFFER_CELLS - 1)
+    assert a["sample"]["arc_length_m"] == a["estimate"]["arc_length_m"]
+    assert a["buffer"]["x_m"][cell] == pytest.approx(a["sample"]["x_m"], abs=1e-9)

@@ -91,7 +91,7 @@ def test_a_hollow_seen_ahead_is_not_followed_on_the_way_back(speed_mps, before_m
     end_m = 0.3 + speed_mps**2 / 4
     run = Run(UNDER_AND_AHEAD, way, hollow_from(end_m + before_m), 0.3 / speed_mps + rest_s + 1.5)
     assert run.least_m() > -1e-3
-    assert abs(run.f._state["adaptive"][0]["known"]["bias_m"]) < 2e-4, "the sensors never differed"
+    assert max(abs(run.f._state["adaptive"][0]["known"]["bias_m"])) < 2e-4, "the sensors never differed"
 
 
 def test_a_hollow_seen_ahead_is_not_followed_round_a_corner():

@@ -87,6 +87,19 @@ def test_the_chance_penalty_acts_in_noise_and_is_greatest_for_waves():
     assert odds_of(WAVE, noise, FULL_POWER_SAMPLES) < odds_of(CURVE, noise, FULL_POWER_SAMPLES) / 30.0
 
 
+def test_waves_of_which_samples_are_too_sparse_have_no_weight():
+    """GIVEN 40 mm from sample to sample THEN waves shorter than 120 mm may be aliases of longer ones."""
+    a = zeros(AdaptiveState)[0]
+    a["noise"]["sigma_m"], a["weights"]["scored"] = NOISE_M, FULL_POWER_SAMPLES
+    a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = (20.0 * NOISE_M) ** 2
+    a["kinematics"]["speed_mps"], a["prediction"]["interval_s"] = 0.4, 0.1
+    update_weights(default_params(), a, AT_ONCE_S)
+    waves = np.flatnonzero(BANK[:, 0] == WAVE)
+    length_m = 2.0 * math.pi / BANK[waves, 1]
+    assert 0 < np.sum(length_m < 0.12) < len(waves)
+    assert ((a["weights"]["weight"][waves] > 0.0) == (length_m > 0.12)).all()
+
+
 def effort_odds(rms_m: float, scored: int) -> float:
     """Weight of a model with a still setpoint over that of one that jumps, at equal errors."""
     a = zeros(AdaptiveState)[0]

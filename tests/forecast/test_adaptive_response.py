@@ -115,9 +115,17 @@ def test_a_range_that_freezes_on_a_rise_does_not_lead_the_tool_away(seed):
 def test_a_tool_that_a_stuck_range_leads_up_stays_where_the_sensor_sees(far_m, rise_m, phase):
     """It left the window in 0.1 s, and never was VALID again: its setpoint ran away by 6 stand-offs."""
     params, response = default_params(), zeros(AdaptiveState)[0]["response"]
-    params["range_max_m"] = far_m
+    params["range_max_m"], params["offset_m"] = far_m, 0.1
     response["phase"], response["rises"], response["test_z_m"], response["lift_m"] = phase, 1, 1.0, 0.004
     assert setpoint_range(params, response, 0.1)[1] == pytest.approx(1.0 + rise_m)
+
+
+def test_a_stuck_range_leads_the_tool_no_farther_than_the_sensor_sees_wherever_it_is_mounted():
+    """The window is one of ranges: the height of the tool's frame has no part in it."""
+    params, response = default_params(), zeros(AdaptiveState)[0]["response"]
+    params["range_max_m"], params["offset_m"] = 0.15, 0.1
+    response["phase"], response["rises"], response["lift_m"] = RESPONSE_LIFT, 1, 0.004
+    assert [setpoint_range(params, response, h)[1] for h in (0.05, 0.1, 0.18)] == pytest.approx([0.05] * 3)
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.4])

@@ -15,7 +15,7 @@ from surffollow.forecast.attitude.rotation_response import mean_range, observe_r
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
-from surffollow.shm.layout_follow import Output, Params, SenseState
+from surffollow.shm.layout_follow import RUN_FREEZE, RUN_NORMAL, Output, Params, SenseState
 
 MS = 1_000_000
 TAU_S, SIGMA_M = 0.06, 0.25e-3
@@ -140,6 +140,29 @@ def test_ground_answers_the_test_whether_it_goes_on_to_turn_or_not(goes_on_radps
         deviation += (goes_on_radps - turn) * 4e-3
         phase = bench.run(1, turn, deviation)
     assert phase == ROTATION_RUN
+
+
+@pytest.mark.parametrize("responds", [True, False])
+def test_a_tool_that_stops_before_the_target_of_the_test_is_judged_by_how_far_it_has_turned(responds):
+    """It stopped `permitted_turn_rad` from the target, more than half of the test: that lasted for ever."""
+    bench, permitted = Bench(), 0.02
+    bench.params["permitted_turn_rad"] = permitted
+    assert bench.run(80, 0.3, 0.03) == ROTATION_TEST
+    deviation, turn = 0.03, bench.turned_by(0.5) + permitted
+    assert turn < -0.02
+    for _ in range(40):
+        deviation -= turn / 40 if responds else 0.0
+        bench.run(1, turn / 0.16, deviation)
+    assert bench.run(80, 0.0, deviation) == (ROTATION_RUN if responds else ROTATION_FAILED)
+
+
+@pytest.mark.parametrize("applied", [True, False])
+def test_a_tool_that_does_not_turn_back_fails_in_time_where_rotations_are_applied(applied):
+    bench = Bench()
+    bench.params["max_turn_speed_radps"], bench.params["run"] = 1.0, RUN_NORMAL if applied else RUN_FREEZE
+    assert bench.run(80, 0.3, 0.03) == ROTATION_TEST
+    assert bench.run(120, 0.0, 0.03) == ROTATION_TEST
+    assert bench.run(80, 0.0, 0.03) == (ROTATION_FAILED if applied else ROTATION_TEST)
 
 
 def test_a_lag_explains_a_small_deviation_but_not_a_long_rotation():

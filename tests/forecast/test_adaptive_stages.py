@@ -16,7 +16,12 @@ from surffollow.forecast.plant.plant_identification import (
     setpoint_in_force,
 )
 from surffollow.forecast.pose import push_pose
-from surffollow.forecast.sensing.latency_identification import update_correction
+from surffollow.forecast.sensing.latency_identification import (
+    is_late,
+    observe_height,
+    update_correction,
+    update_delay,
+)
 from surffollow.forecast.sensing.range_prediction import predict_range, return_gain, update_prediction
 from surffollow.forecast.sensing.sample_hold import count_m, record_sample, reset_hold
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
@@ -26,6 +31,7 @@ from surffollow.forecast.terrain.terrain_memory import CELLS, new_memory, read_h
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_follow import SenseState
 
 from .feeding import MS, default_params, feed
 
@@ -188,6 +194,22 @@ def test_a_setpoint_keeps_its_limits_and_arrives_without_overshoot():
         assert np.abs(np.diff(speed)).max() <= 20.0 * 1e-3 * (1 + 1e-6)
         assert path[-1] == pytest.approx(expected, abs=1e-6)
         assert np.abs(path).max() <= 1.01 * abs(expected)
+
+
+@pytest.mark.parametrize(("share", "ratio"), [(0.0, 1.0), (0.5, 2.0), (1.0, 3.0)])
+def test_a_setpoint_of_a_plan_may_be_three_times_as_quick(share, ratio):
+    """A plan is farther ahead of the axis: 2 to 6 times `plant_v_max`, 20 to 60 times `plant_a_max`."""
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    params["max_speed_mps"] = params["max_accel_mps2"] = params["max_jerk_mps3"] = 1e6
+    params["plant_v_max_mps"], params["plant_a_max_mps2"] = 0.2, 2.0
+    a["preview"]["share"] = share
+    speed, accel = [], []
+    for k in range(200):
+        limit_setpoint(params, a, 10**9 + k * MS, 10.0, 0.0)
+        speed.append(float(a["setpoint"]["velocity_mps"]))
+        accel.append(float(a["setpoint"]["acceleration_mps2"]))
+    assert max(speed) == pytest.approx(ratio * 0.4, rel=0.02)
+    assert max(accel) == pytest.approx(ratio * 40.0, rel=0.02)
 
 
 def test_the_terrain_buffer_returns_stored_heights_and_nothing_else():
@@ -495,6 +517,34 @@ def test_a_latency_needs_sixty_samples_of_one_rest(samples, identified):
     latency["height_height"] = 0.02**2 * latency["climb_climb"]
     update_correction(a, True)
     assert float(latency["correction_s"]) == pytest.approx(0.02 if identified else 0.0, rel=0.1)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 1e-6])
+def test_one_late_sample_among_those_without_a_delay_is_not_the_usual_one(delay_s):
+    """A usual delay of 0 counted as not known: one sample 0.3 s late made it 0.3 s."""
+    params, a, late = default_params(), zeros(AdaptiveState)[0], 0
+    a["plant"]["tau_s"], a["prediction"]["interval_s"] = 0.04, 0.004
+    for k in range(200):
+        update_delay(a["latency"], 0.3 if k == 100 else delay_s, 0.004)
+        late += is_late(params, a)
+    assert late == 0
+
+
+@pytest.mark.parametrize("glitch_m", [0.0, 0.02])
+def test_a_rest_that_begins_with_a_glitch_identifies_the_latency(glitch_m):
+    """GIVEN ranges that are 20 ms old WHEN the first one of a rest is a glitch THEN the others count.
+
+    They were all compared with the glitch, and none was near.
+    """
+    a, sense, rng, pose = zeros(AdaptiveState)[0], zeros(SenseState)[0], np.random.default_rng(0), np.zeros(7)
+    a["noise"]["sigma_m"] = 2e-4
+    for k in range(700):
+        t, t_ns = 4e-3 * k, 10**9 + 4 * k * MS
+        push_pose(sense, t_ns, np.array([0.0, 0.0, bobbing_m(t), 0.0, 0.0, 0.0, 1.0]), 0)
+        h = bobbing_m(t) - bobbing_m(t - 0.02) + 2e-4 * rng.standard_normal()
+        if k >= 20:
+            observe_height(a, sense, t_ns, h + (glitch_m if k == 20 else 0.0), True, True, pose)
+    assert float(a["latency"]["correction_s"]) == pytest.approx(0.02, abs=2e-3)
 
 
 def test_the_count_of_a_sensor_is_its_least_change_of_many():

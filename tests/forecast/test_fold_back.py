@@ -129,6 +129,16 @@ def test_too_close_survives_a_reset_and_a_lost_sensor():
     assert o["demand"][2] >= 0.001
 
 
+@pytest.mark.parametrize("mode", [0, 1], ids=["paper", "adaptive"])
+def test_too_close_is_reported_while_no_demand_is_valid_for_want_of_readings(mode):
+    k = Kernel(default_params(mode=mode, loss_timeout_ns=200 * MS))
+    near = float(k.params[0]["too_close_m"]) - 1e-4
+    for n in range(200):
+        o = follow(k, T + 4 * n * MS, 0.1 if n < 50 else near if n < 60 else math.nan)
+    assert names_of(o["status"]) == {"NO_SENSOR", "SENSOR_LOST", "TOO_CLOSE"}
+    assert not o["demand"].any()
+
+
 @pytest.mark.parametrize(("run", "name"), [(1, "DRYRUN"), (2, "FROZEN")])
 def test_dryrun_and_freeze_are_never_valid(run, name):
     k = Kernel(default_params(run=run))

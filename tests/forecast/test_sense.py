@@ -131,3 +131,22 @@ def test_the_largest_window_uses_all_it_keeps():
         k.step(T + cycle * MS, conversions=counts(32, value=1000 + 100 * cycle))
     expected = np.mean([*range(1200, 1232), *range(1300, 1332)])
     assert sensed(k)["range_m"][0] == pytest.approx(ZERO + SCALE * expected, abs=1e-14)
+
+
+@pytest.mark.parametrize("mode", [0, 1], ids=["paper", "adaptive"])
+def test_a_reading_that_was_overtaken_empties_no_window(mode):
+    """GIVEN ranges at 50 Hz WHEN every tenth arrives behind the next one THEN none counts as lost.
+
+    The negative gap became a spacing of 1 ns, and every later sample came after a gap.
+    """
+    kernel = Kernel(default_params(sensor_readings=4, mode=mode))
+    order = list(range(200))
+    for k in range(10, 199, 10):
+        order[k], order[k + 1] = order[k + 1], order[k]
+    pose = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]
+    for k, at in enumerate(order):
+        now = T + 20 * k * MS
+        kernel.step(now, poses=[(now, pose)], ranges=[0.1], given_t_ns=T + 20 * at * MS)
+        kernel.step(now + MS, ranges=[math.nan], given_t_ns=now + MS)
+    assert kernel.state["sense"]["losses"][0][0] <= 1, "no spacing is known in the first gap"
+    assert kernel.state["sense"]["spacing_ns"][0][0] >= 20 * MS

@@ -150,12 +150,15 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     if stuck:
         health.latch_fault(adaptive.health, layout_adaptive.FAULT_STUCK)
         preview.withdraw_preview(adaptive.preview)
+    close = layout.TOO_CLOSE if fold.close != 0 else 0
+    if close != 0:
+        health.latch_fault(adaptive.health, layout_adaptive.FAULT_CLOSE)
     if health.is_lost(params, adaptive):
         if estimate.samples > 0 and not stuck:
             health.latch_fault(adaptive.health, layout_adaptive.FAULT_LOST)
         setpoint_limits.release_setpoint(setpoint)
         preview.withdraw_preview(adaptive.preview)
-        return layout.NO_SENSOR | layout.SENSOR_LOST
+        return layout.NO_SENSOR | layout.SENSOR_LOST | close
     if setpoint.in_dryrun != 0 and params.run != layout.RUN_DRYRUN:  # setpoints of DRYRUN were not applied
         setpoint_limits.mark_dryrun(setpoint, 0)
         setpoint_limits.release_setpoint(setpoint)
@@ -173,19 +176,17 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
         return health.forget(adaptive.health, layout_adaptive.FAULT_NOT_FINITE)
-    status, state = layout.VALID, adaptive.health.state
+    status, state = layout.VALID | close, adaptive.health.state
     if state in (layout_adaptive.DROPOUT, layout_adaptive.OUT_OF_RANGE, layout_adaptive.STUCK):
         status |= layout.NO_SENSOR
     limited = fold_back.limit(demand, params.max_demand_m)
     if limited != demand:
         status |= layout.LIMITED
-    if fold.close != 0:
-        health.latch_fault(adaptive.health, layout_adaptive.FAULT_CLOSE)
-        status |= layout.TOO_CLOSE
+    if close != 0:
         limited = fold_back.lead_away(params, limited)
         attitude.release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     output.demand[2] = limited
-    if fold.close == 0 and not stuck and orients and adaptive.plane.count > 0:
+    if close == 0 and not stuck and orients and adaptive.plane.count > 0:
         attitude.demand_rotation(params, adaptive, sense, output)
     plant_identification.record_own_setpoint(adaptive, answered, tool_z + (limited if applied else 0.0))
     if params.run == layout.RUN_DRYRUN:

@@ -21,11 +21,14 @@ def lose_channel(sense, c):
 
 @jit_inlined
 def note_spacing(sense, c, t_ns):
-    """Update the usual spacing with a step's newest sample: it shrinks at once and grows slowly."""
-    if sense.seen_t_ns[c] != 0:
-        gap_ns = t_ns - sense.seen_t_ns[c]
+    """Update the usual spacing with a step's newest sample: it shrinks at once and grows slowly.
+
+    A sample that is not newer than the one before was overtaken by it: the spacing stays.
+    """
+    gap_ns = t_ns - sense.seen_t_ns[c]
+    if sense.seen_t_ns[c] != 0 and gap_ns > 0:
         if sense.spacing_ns[c] == 0 or gap_ns < sense.spacing_ns[c]:
-            sense.spacing_ns[c] = max(gap_ns, 1)
+            sense.spacing_ns[c] = gap_ns
         else:  # a few losses between lone readings do not make a slow sensor
             sense.spacing_ns[c] += (gap_ns - sense.spacing_ns[c]) // 8
     sense.seen_t_ns[c] = t_ns

@@ -131,9 +131,9 @@ class Preview(Schema):
 class Known(Schema):
     """Known ground against the sensor under the tool (`known_ground`)."""
 
-    bias_m = F64(unit="m", doc="height by channel 0 minus known height, mean")
-    compared = I64(doc="samples in that mean")
-    difference_m2 = F64(unit="m^2", doc="mean squared difference beyond that")
+    bias_m = F64(2, unit="m", doc="mean of height by channel 0 minus known height: sensor ahead, map")
+    compared = I64(2, doc="samples in that mean")
+    difference_m2 = F64(2, unit="m^2", doc="mean squared difference beyond that")
     contradictions = I64(doc="samples in a row that disagree with it")
     trusted_from_m = F64(unit="m", doc="arc length from which it is used again")
     peak_m = F64(unit="m", doc="greatest height lately, older ones fade with the distance; 0: none yet")

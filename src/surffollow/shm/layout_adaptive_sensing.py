@@ -10,7 +10,7 @@ BEAMS = 8
 class Clock(Schema):
     """Time of the follower (`clock`)."""
 
-    now_ns = I64(unit="ns", doc="latest time of any step")
+    now_ns = I64(unit="ns", doc="latest timestamp of steps and poses")
 
 
 class Kinematics(Schema):
@@ -41,11 +41,13 @@ class Hold(Schema):
 class Latency(Schema):
     """Delay of samples, and the identified error of the configured latency (`latency_identification`)."""
 
+    known = I64(doc="1: delays are known")
     delay_s = F64(unit="s", doc="usual delay: arrival − timestamp")
-    least_s = F64(unit="s", doc="least delay, which grows slowly; 0: not known")
+    least_s = F64(unit="s", doc="least delay, which grows slowly")
     correction_s = F64(unit="s", doc="age of ranges beyond the configured latency, as identified")
     configured_ns = I64(unit="ns", doc="sensor_latency_ns that the correction belongs to")
     count = I64(doc="samples of the present rest")
+    far = I64(doc="samples in a row that are far from its mean height")
     mean_climb_mps = F64(unit="m/s", doc="mean climb rate over the rest")
     mean_height_m = F64(unit="m", doc="mean height over the rest")
     climb_climb = F64(unit="m^2/s^2", doc="sum of squared deviations of the climb rate")
@@ -64,7 +66,7 @@ class Sample(Schema):
     x_m = F64(unit="m", doc="footprint")
     y_m = F64(unit="m")
     arc_length_m = F64(unit="m", doc="its arc length")
-    heading_x = F64(unit="1", doc="unit vector of the tool's lateral velocity then; 0: at rest")
+    heading_x = F64(unit="1", doc="unit vector of the way, by velocity; slow sensors: by footprints; 0: none")
     heading_y = F64(unit="1")
     spacing_m = F64(unit="m", doc="usual distance travelled between samples")
 
@@ -149,6 +151,7 @@ class Beams(Schema):
 
     footprint_m = F64(BEAMS * 3, unit="m", doc="newest footprint per beam")
     t_ns = I64(BEAMS, unit="ns", doc="timestamp of that; 0: none yet")
+    round_ns = I64(unit="ns", doc="time in which beams that are read by turns each have a sample")
     range_m = F64(BEAMS, unit="m", doc="range of that")
     repeat_range_m = F64(BEAMS, unit="m", doc="first range of a run of like ones")
     repeat_ns = I64(BEAMS, unit="ns", doc="when that run began; 0: none yet")
@@ -204,4 +207,5 @@ class Rotation(Schema):
     run_ns = I64(unit="ns", doc="when the run began")
     run_axis = F64(3, unit="1", doc="the tool's axis then, world frame")
     test_axis = F64(3, unit="1", doc="direction to which the test turns the tool back")
+    test_ns = I64(unit="ns", doc="when the test began, or was last not applied")
     samples = I64(doc="samples of the run; of the test, since the tool is half the way back")

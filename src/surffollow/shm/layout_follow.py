@@ -191,7 +191,7 @@ class Inputs(Schema):
 
     t_ns = I64(unit="ns", doc="the cycle's time, CLOCK_MONOTONIC")
     n_conversions = I64()
-    conversion = I64(MAX_CONVERSIONS, doc="packed, see forecast.sense")
+    conversion = I64(MAX_CONVERSIONS, doc="packed, see shm.conversion")
     n_poses = I64()
     pose_t_ns = I64(MAX_POSES, unit="ns")
     pose = F64(MAX_POSES * 7, unit="m, 1")

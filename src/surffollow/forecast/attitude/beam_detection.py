@@ -19,18 +19,36 @@ from surffollow.forecast.sensing.response import MOTION_BANDS
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit, jit_inlined
 
+ROUND_SHARE = 0.9  # of the interval: eight beams by turns need 7/8 of it
+
 
 @jit_inlined
 def is_recent(beams, c, t_ns):
-    """Whether a beam has a sample as new as one with this timestamp."""
-    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= MISSING_NS
+    """Whether a beam has a sample as new as one with this timestamp, or of the same round."""
+    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= max(MISSING_NS, beams.round_ns)
+
+
+@jit
+def measure_round(params, adaptive):
+    """Set the time in which beams that are read by turns each have a sample, LONG_GAP_NS at most.
+
+    It is a part of the shortest interval of a channel: a beam that misses a round is not recent.
+    """
+    shortest_ns = 0
+    for c in range(params.n_channels):
+        usual_ns = adaptive.health.interval_ns[c]
+        if usual_ns > 0 and (shortest_ns == 0 or usual_ns < shortest_ns):
+            shortest_ns = usual_ns
+    adaptive.beams.round_ns = int(ROUND_SHARE * min(shortest_ns, LONG_GAP_NS))
 
 
 @jit
 def choose_reference(params, beams, sense):
     """Choose the reference channel, whose samples are the follower's; -1: none.
 
-    The present one stays while it delivers samples and is accepted.
+    The present one stays while it delivers samples and is accepted. A caller in process may give one channel
+    per step: a channel without a range in this step is not silent. Of several others the newest one follows,
+    so that there is a sample at once.
     """
     newest = 0
     for c in range(params.n_channels):
@@ -40,9 +58,10 @@ def choose_reference(params, beams, sense):
     best, lowest = beams.reference, 3
     for k in range(params.n_channels):
         c = (beams.reference + k) % params.n_channels
-        silent = sense.valid[c] == 0 or newest - beams.t_ns[c] > MISSING_NS
+        silent = sense.window_n[c] == 0 or not is_recent(beams, c, newest)
         rank = 2 if silent else 1 - beams.accepted[c]
-        if rank < lowest:
+        newer = best != beams.reference and beams.t_ns[c] > beams.t_ns[best]
+        if rank < lowest or (rank == lowest and newer):
             best, lowest = c, rank
     beams.reference = best
     return best
@@ -58,6 +77,7 @@ def observe_beams(params, adaptive, sense, pose):
     pose : (7,) float64  scratch
     """
     beams = adaptive.beams
+    measure_round(params, adaptive)
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             continue
@@ -134,7 +154,7 @@ def is_blocked(params, adaptive, c):
 
 @jit
 def plausible_bend_m(params, adaptive):
-    """How far ground with a radius of curvature of the stand-off leaves its plane under the farthest beam [m].
+    """How far ground as curved as a sphere of the stand-off leaves its plane under the farthest beam [m].
 
     A twentieth of the stand-off at most: wide rings meet such ground seldom, and faults as large do harm.
     """

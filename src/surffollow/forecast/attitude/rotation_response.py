@@ -4,7 +4,8 @@ Beams that repeat their ranges give a plane that turns with the tool: the deviat
 tool's axis stays, and the tool turns on and on. A tool that follows curved ground with a lag has a constant
 deviation, too. A rotation with a constant deviation that no lag explains is therefore tested: the tool turns
 back by a little (`ROTATION_TEST`), and the deviation must grow by that, whether the ground goes on to curve
-or not. If it does not, the tool does not turn (`ROTATION_FAILED`) until the deviation changes.
+or not. If it does not, or the tool does not turn back in time, the tool does not turn (`ROTATION_FAILED`)
+until the deviation changes.
 """
 
 import math
@@ -18,6 +19,7 @@ from surffollow.forecast.sensing.mean_range import TEST_BAND_FACTOR
 from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
+from surffollow.shm.layout_follow import RUN_NORMAL
 
 
 @jit
@@ -90,7 +92,9 @@ def observe_rotation(params, adaptive, t_ns, pose):
         return
     u = rotation.run_axis if rotation.phase == ROTATION_RUN else rotation.test_axis
     _, _, _, turn = rotation_between(u[0], u[1], u[2], axis[0], axis[1], axis[2])
-    probe = response.MOTION_BANDS * band
+    # the tool stops at `permitted_turn_rad` from the test's direction
+    least = response.MOTION_BANDS * band
+    probe = least + params.permitted_turn_rad
     if rotation.phase == ROTATION_RUN:
         rotation.samples += 1
         if rotation.samples < response.RUN_SAMPLES:  # the mean of the run is the better known one
@@ -101,12 +105,16 @@ def observe_rotation(params, adaptive, t_ns, pose):
         wrong = response.is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
         far = turn > 0.3 * params.max_tilt_rad  # beyond, a constant deviation is always tested
         if rotation.samples * share > response.MIN_MEANS and turn > probe and (wrong or far):
-            rotation.phase, rotation.samples = ROTATION_TEST, 0
+            rotation.phase, rotation.samples, rotation.test_ns = ROTATION_TEST, 0, t_ns
             for i in range(3):
                 rotation.test_axis[i] = axis[i] + probe / turn * (rotation.run_axis[i] - axis[i])
-    elif rotation.phase == ROTATION_TEST and turn < 0.5 * probe:
-        rotation.samples += 1
-        if rotation.samples * share > response.MIN_MEANS:
+    elif rotation.phase == ROTATION_TEST:
+        rotation.samples += 1 if turn < probe - 0.5 * least else 0
+        if params.run != RUN_NORMAL:
+            rotation.test_ns = t_ns  # no rotation is applied
+        longest_s = response.ANSWER_TAUS * adaptive.plant.tau_s + 2.0 * probe / params.max_turn_speed_radps
+        late = (t_ns - rotation.test_ns) * 1e-9 > longest_s
+        if rotation.samples * share > response.MIN_MEANS or late:
             rotation.phase = ROTATION_FAILED
 
 

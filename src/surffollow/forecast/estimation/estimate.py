@@ -7,7 +7,7 @@ from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest
-from surffollow.forecast.terrain.terrain_buffer import store_ground
+from surffollow.forecast.terrain.terrain_buffer import store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
 
@@ -33,7 +33,10 @@ def blend_models(adaptive):
 
 @jit
 def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
-    """Initialise with level ground at the first height; the performance index from before a loss stays.
+    """Initialise with level ground at the first height.
+
+    Performance index, weights, noise, usual innovation and likelihood of slots from before a loss stay. The
+    index fades soon: each new error counts as in a mean over the samples since (`update_index`).
 
     Parameters
     ----------
@@ -62,7 +65,6 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         estimate.confirmed_ns = estimate.in_frame_ns = t_ns
     estimate.settle_ns = t_ns + 60_000_000  # the performance index waits until setpoints have acted
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
-    store_ground(adaptive, estimate.arc_length_m, h_m)
     blend_models(adaptive)
 
 
@@ -98,7 +100,7 @@ def confirm_step(params, adaptive, stretch):
     noise.shift_heights(adaptive.noise, estimate.height_m - before)
     for k in range(max(0, n - PENDING_HEIGHTS), n - 1):
         slot = k & (PENDING_HEIGHTS - 1)
-        store_ground(adaptive, gate.kept_arc_length_m[slot], gate.kept_height_m[slot])
+        store_ground_under(adaptive, gate.kept_arc_length_m[slot], gate.kept_height_m[slot])
     innovation_gate.register_step(params, gate, estimate.sample_ns)
 
 
@@ -140,7 +142,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     t_ns : int64             timestamp, later than that of the sample before
     travel_m : float64       distance travelled by the footprint since the sample before [m], ≥ 0
     h_m : float64            height of the footprint [m]
-    standoff_m : float64     wanted height of the tool above the ground [m]
+    standoff_m : float64     desired height of the tool above the ground [m]
     adapt : bool             False: index, weights and noise stay as they are
     """
     gate, bank, estimate, kinematics = adaptive.gate, adaptive.bank, adaptive.estimate, adaptive.kinematics
@@ -213,5 +215,4 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         # while samples are from before the newest jump of the frame, the tool holds its height
         if t_ns >= kinematics.jump_ns:
             estimate.in_frame_ns = t_ns
-    store_ground(adaptive, estimate.arc_length_m, h_m)
     return True

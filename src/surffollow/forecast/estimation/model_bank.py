@@ -96,6 +96,13 @@ def propagate_bank(bank, way_m, d):
     bank : record of `Bank` (updated)
     way_m : float64  length of the path, in F [m]
     d : float64      length in Q: that, or more where the ground may have moved [m]
+
+    Notes
+    -----
+    Q is that of integrators without decay and oscillation, and of curvature noise its terms in the height
+    (d³/6 and higher) are left out. It is right while d is a small part of the lengths λ, μ and 1/ω. Over a
+    longer d slopes that decay have too great a variance: such models follow each sample. The weights come
+    from errors of following, not from P.
     """
     compute_transition(bank, way_m)
     d2, d3 = 0.5 * d * d, d * d * d / 3.0

@@ -64,8 +64,8 @@ def position_ahead(params, tau_s, z_m, v_mps, target_m, hold_s):
 
 
 @jit
-def invert_axis(params, tau_s, z_m, v_mps, wanted_m, hold_s):
-    """Setpoint with which `position_ahead` is the one wanted [m].
+def invert_axis(params, tau_s, z_m, v_mps, desired_m, hold_s):
+    """Setpoint with which `position_ahead` is the desired one [m].
 
     Bisection: that position is monotone in the setpoint. One that the axis does not attain would give a
     setpoint at the end of the interval searched; the next attainable one is taken instead.
@@ -75,7 +75,7 @@ def invert_axis(params, tau_s, z_m, v_mps, wanted_m, hold_s):
     params : record of `Params`
     tau_s : float64       time constant [s]
     z_m, v_mps : float64  position [m] and velocity [m/s] now
-    wanted_m : float64    the position [m]
+    desired_m : float64   the position [m]
     hold_s : float64      for how long the setpoint is held [s]
     """
     v_mps = min(max(v_mps, -params.plant_v_max_mps), params.plant_v_max_mps)  # of an estimate it may be more
@@ -85,10 +85,10 @@ def invert_axis(params, tau_s, z_m, v_mps, wanted_m, hold_s):
     lowest_m = position_ahead(params, tau_s, z_m, v_mps, low, hold_s)
     highest_m = position_ahead(params, tau_s, z_m, v_mps, high, hold_s)
     rest_m = (1.0 - 0.999) * (highest_m - lowest_m)  # for rounding
-    wanted_m = min(max(wanted_m, lowest_m + rest_m), highest_m - rest_m)
+    desired_m = min(max(desired_m, lowest_m + rest_m), highest_m - rest_m)
     for _ in range(24):  # resolution: 6e-8 of the interval searched
         middle = 0.5 * (low + high)
-        if position_ahead(params, tau_s, z_m, v_mps, middle, hold_s) < wanted_m:
+        if position_ahead(params, tau_s, z_m, v_mps, middle, hold_s) < desired_m:
             low = middle
         else:
             high = middle

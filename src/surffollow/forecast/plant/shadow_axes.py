@@ -7,6 +7,7 @@ import math
 
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.quantities import QUICK_RATE
+from surffollow.forecast.sensing.kinematics import is_at_rest
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_AXES, N_MODELS, N_PERIODS
 
@@ -16,9 +17,13 @@ MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest,
 
 @jit
 def compared_lag_s(adaptive):
-    """Time from the tool over a footprint to its sample when the sensor trails, MAX_LAG_S at most [s]."""
-    trail_m = max(-adaptive.sample.lead_m, 0.0)
-    return min(trail_m / max(adaptive.kinematics.speed_mps, MIN_SPEED_MPS), MAX_LAG_S)
+    """Time from the tool over a footprint to its sample when the sensor trails, MAX_LAG_S at most [s].
+
+    At rest it is 0: the path is time there, and the tool was never over the footprint.
+    """
+    if is_at_rest(adaptive.kinematics):
+        return 0.0
+    return min(max(-adaptive.sample.lead_m, 0.0) / adaptive.kinematics.speed_mps, MAX_LAG_S)
 
 
 @jit

@@ -16,7 +16,7 @@ MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncerta
 
 @jit
 def oldest_pose_within(sense, window_ns, first_ns):
-    """Count of the newest pose report that is at least `window_ns` older than the newest one.
+    """Sequence number of the newest pose report that is at least `window_ns` older than the newest one.
 
     Reports from before a long gap, or before the time `first_ns`, do not count; the newest one may be
     the only one.
@@ -38,7 +38,7 @@ def velocity_between(sense, first, last):
     Parameters
     ----------
     sense : record of `SenseState`
-    first, last : int  counts of the reports
+    first, last : int  sequence numbers of the reports, from 0
 
     Returns
     -------

@@ -10,15 +10,18 @@ import math
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import newest_pose, pose_at
-from surffollow.forecast.quantities import FULL_POWER_SAMPLES, USUAL_SAMPLES
-from surffollow.forecast.sensing import clock, kinematics
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, FULL_POWER_SAMPLES, USUAL_SAMPLES
+from surffollow.forecast.sensing import kinematics
 from surffollow.shm.jit import jit
+
+MAX_LATENCY_S = 0.1  # greater ones have to be configured
+GLITCH_M = MAX_LATENCY_S * 0.08  # from the mean height: more than that latency explains at 80 mm/s
 
 
 @jit
 def reset_window(latency):
     """Begin a new rest."""
-    latency.count = 0
+    latency.count = latency.far = 0
     latency.mean_climb_mps = latency.mean_height_m = 0.0
     latency.climb_climb = latency.climb_height = latency.height_height = latency.step_step = 0.0
 
@@ -26,8 +29,11 @@ def reset_window(latency):
 @jit
 def update_delay(latency, delay_s, interval_s):
     """Update the usual and the least delay with that of a sample, at the usual interval [s]."""
-    latency.delay_s = clock.follow_usual(latency.delay_s, delay_s)
-    least_s = min(latency.least_s, delay_s) if latency.least_s != 0.0 else delay_s
+    if latency.known == 0:  # 0 is a delay, too: in process a sample may have none
+        latency.known, latency.delay_s, latency.least_s = 1, delay_s, delay_s
+        return
+    latency.delay_s += (delay_s - latency.delay_s) / USUAL_SAMPLES
+    least_s = min(latency.least_s, delay_s)
     # it grows within 20 s: clocks drift by 100 ppm
     latency.least_s = least_s + min(interval_s / 20.0, 1.0) * (delay_s - least_s)
 
@@ -67,18 +73,20 @@ def update_correction(adaptive, adapt):
         # noise is left, or little of the change of height; otherwise the ground moved, or was not one spot
         left_m2 = n * residual * residual
         explained = left_m2 < latency.step_step or left_m2 < 0.1 * latency.height_height
-        most_s = 0.1  # greater latencies have to be configured
-        if abs(delta_s) < most_s and residual < 3.0 * noise + 0.5e-3 and explained:
+        if abs(delta_s) < MAX_LATENCY_S and residual < 3.0 * noise + 0.5e-3 and explained:
             var = max(residual, noise) ** 2 / latency.climb_climb
             prior = 0.03**2  # variance of the latency before a rest [s²]
             corrected_s = latency.correction_s + prior / (prior + var) * delta_s
-            latency.correction_s = min(max(corrected_s, -most_s), most_s)
+            latency.correction_s = min(max(corrected_s, -MAX_LATENCY_S), MAX_LATENCY_S)
     reset_window(latency)
 
 
 @jit
 def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     """Enter a sample's height into the regression.
+
+    One that is far from the mean is a glitch. Several in a row end the rest: the ground moved, or the rest
+    began with a glitch.
 
     Parameters
     ----------
@@ -90,8 +98,12 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
     pose : (7,) float64  scratch
     """
     latency = adaptive.latency
-    near = latency.count == 0 or abs(h_m - latency.mean_height_m) <= 8e-3  # else a glitch
-    if at_rest and near:
+    far = latency.count > 0 and abs(h_m - latency.mean_height_m) > GLITCH_M
+    latency.far = latency.far + 1 if far else 0
+    if latency.far >= CONFIRMATION_SAMPLES:
+        update_correction(adaptive, adapt)
+        far = False
+    if at_rest and not far:
         newest_ns = sense.pose_t_ns[newest_pose(sense)]
         end_ns = min(t_ns + kinematics.CLIMB_WINDOW_NS // 2, newest_ns)
         pose_at(sense, end_ns - kinematics.CLIMB_WINDOW_NS, 1, pose)

@@ -13,7 +13,7 @@ from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.forecast.sensing import clock, health, kinematics, latency_identification, response, standoff
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
-from surffollow.forecast.terrain import known_ground, preview
+from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import RUN_FREEZE
 
@@ -65,8 +65,11 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
         ahead = kinematics.distance_along(adaptive.kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
-    if not estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapt):
+    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapt)
+    sample.arc_length_m = adaptive.estimate.arc_length_m  # an initialisation advances it farther
+    if not entered:
         return
+    terrain_buffer.store_ground_under(adaptive, sample.arc_length_m, h)
     preview.observe_ground(adaptive, h, adapt)
     if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
         adaptation.update_deadband(params, adaptive)
@@ -161,12 +164,18 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
         sample.lead_m = clock.follow_usual(sample.lead_m if known else 0.0, lead)
     travel = motion.speed_mps * (t_ns - adaptive.estimate.sample_ns) * 1e-9 if known else 0.0
     # the tool of a slow sensor may have turned since the sample before
-    if known and innovation_gate.is_slow(adaptive):
+    if known and innovation_gate.is_slow(adaptive) and not spans_jump(adaptive):
         travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
     sample.spacing_m = clock.follow_usual(sample.spacing_m, travel)
     sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, adaptive.estimate.arc_length_m + travel
     return travel
+
+
+@jit
+def spans_jump(adaptive):
+    """Whether the reported position has jumped since the sample before: its footprint is in another frame."""
+    return adaptive.kinematics.jump_ns > adaptive.estimate.sample_ns
 
 
 @jit
@@ -181,8 +190,9 @@ def has_turned_back(adaptive):
 def follow_heading(adaptive, x_m, y_m):
     """Take the heading of a sample; turn the bank by the angle between two headings.
 
-    The heading of a slow sensor is the way between two footprints: the velocity is a mean that turns late. A
-    quicker one learns the slope anew, unless its footprints go back.
+    The heading of a slow sensor is the way between two footprints: the velocity is a mean that turns late. It
+    stays when the frame has jumped in between. A quicker one learns the slope anew, unless its footprints go
+    back.
 
     Parameters
     ----------
@@ -197,7 +207,8 @@ def follow_heading(adaptive, x_m, y_m):
     known = adaptive.estimate.samples > 0  # a first sample has no footprint before it
     if known and innovation_gate.is_slow(adaptive):
         way = math.hypot(way_x, way_y)
-        if way <= kinematics.MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s:
+        least_m = kinematics.MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s
+        if way <= least_m or spans_jump(adaptive):
             return
         turned = sample.heading_x != 0.0 or sample.heading_y != 0.0
         heading_x, heading_y, cosine = way_x / way, way_y / way, along / way

@@ -2,7 +2,7 @@
 
     min  ½ Σ w (z − g)² + ½ λ Σ a²   subject to |a| ≤ a_max
 
-z is the axis, g the wanted height, a the second difference of z; position and velocity v of the axis are
+z is the axis, g the desired height, a the second difference of z; position and velocity v of the axis are
 given: before now lies the point z_1 - 2vT, so that v is the velocity now and not that of half a period ago.
 It is solved by the alternating direction method of multipliers (ADMM): one pentadiagonal factorisation and
 a clip, a fixed number of times, warm-started from the last period. Extrapolated ground beyond the known piece
@@ -78,7 +78,7 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     params, adaptive : records of `Params`, `AdaptiveState`; `preview.ground_m` holds the ground from now on
     known : int              known periods of ground
     z_m, v_mps : float64     position and velocity of the axis now
-    standoff_m : float64     wanted height of the tool above the ground
+    standoff_m : float64     desired height of the tool above the ground
     """
     n, plan, ground_m = HORIZON, adaptive.plan, adaptive.preview.ground_m
     limit = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
@@ -165,7 +165,7 @@ def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     straight_m = planned_position(plan, hold) + 0.5 * (next_m - planned_position(plan, hold - 1.0))
     # one period behind a setpoint the axis is between the place to which its velocity then leads it (alone it
     # is late at edges) and the plan (alone it is early: second passes 1.03 times the error)
-    wanted_m = straight_m + 0.5 * (next_m - straight_m)
+    desired_m = straight_m + 0.5 * (next_m - straight_m)
     least_mps = least_speed(params, adaptive, known, z_m, standoff_m, hold)
-    wanted_m = z_m + max(wanted_m, (hold + 1.0) * PERIOD_S * least_mps)
-    plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, wanted_m, hold * PERIOD_S)
+    desired_m = z_m + max(desired_m, (hold + 1.0) * PERIOD_S * least_mps)
+    plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, desired_m, hold * PERIOD_S)

@@ -38,6 +38,6 @@ def setpoint_range(params, response, standoff_m):
     if response.phase == RESPONSE_HOLD or response.phase == RESPONSE_LIFT:
         lowest_m = response.test_z_m + (response.lift_m if response.rises == 0 else 0.0)
     if response.phase != RESPONSE_RUN and response.rises != 0:
-        rise_m = min(3.0 * standoff_m, params.range_max_m - standoff_m)
+        rise_m = min(3.0 * standoff_m, params.range_max_m - params.offset_m)
         highest_m = response.test_z_m + max(rise_m, response.lift_m)
     return lowest_m, highest_m

@@ -16,6 +16,12 @@ MAX_UNCONFIRMED_DESCENT_M = 2.0 * DISAGREEMENT_M  # of a plan below the setpoint
 
 
 @jit
+def known_source(adaptive):
+    """Source of known ground: 0 a sensor that leads, 1 the map or the terrain memory. Each has its bias."""
+    return 0 if adaptive.lookahead.lead_m > 0.0 or sensor_leads(adaptive) else 1
+
+
+@jit
 def known_height(adaptive, inputs, s_m, ahead_m):
     """Height of a place as the look-ahead sensor or the map has it [m]; NaN where it has none.
 
@@ -25,7 +31,7 @@ def known_height(adaptive, inputs, s_m, ahead_m):
     s_m : float64      arc length of the place, for the terrain buffer [m]
     ahead_m : float64  its distance ahead of the point under the newest pose, for the map [m]
     """
-    if adaptive.lookahead.lead_m > 0.0 or sensor_leads(adaptive):
+    if known_source(adaptive) == 0:
         return buffered_height(adaptive, s_m)
     if inputs.n_preview < 2 or not inputs.preview_step_m > 0.0:
         return math.nan
@@ -56,7 +62,7 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     ahead_m : float64  place of the sample, ahead of the point under the newest pose [m]
     h_m : float64      height of the sample [m]
     """
-    known, s = adaptive.known, adaptive.sample.arc_length_m
+    known, source, s = adaptive.known, known_source(adaptive), adaptive.sample.arc_length_m
     here = known_height(adaptive, inputs, s, ahead_m)
     if not math.isfinite(here):
         return False
@@ -64,10 +70,10 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     beyond = known_height(adaptive, inputs, s + REGISTRATION_M, ahead_m + REGISTRATION_M)
     # the first one is known; NaN is neither greater nor less
     highest, lowest = max(here, behind, beyond), min(here, behind, beyond)
-    gate = disagreement_m(adaptive)
-    agrees = lowest - gate < h_m - known.bias_m < highest + gate
-    difference_m = min(max(h_m - here - known.bias_m, -gate), gate)
-    known.difference_m2 += (difference_m * difference_m - known.difference_m2) / 64.0
+    gate, bias_m = disagreement_m(adaptive), known.bias_m[source]
+    agrees = lowest - gate < h_m - bias_m < highest + gate
+    difference_m = min(max(h_m - here - bias_m, -gate), gate)
+    known.difference_m2[source] += (difference_m * difference_m - known.difference_m2[source]) / 64.0
     known.contradictions = 0 if agrees else known.contradictions + 1
     drop_length_m = 2.0 * APART_M  # over which a drop is taken; a map is not used for as long after an error
     fading = min(adaptive.sample.spacing_m / drop_length_m, 1.0) if known.peak_m != 0.0 else 1.0
@@ -75,9 +81,10 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     drop = known.peak_m - h_m
     if agrees and drop > MAX_UNCONFIRMED_DESCENT_M:
         known.descent_m += fading * max(drop - known.descent_m, 0.0)
-    known.compared += 1 if known.compared * SLOW_RATE < 1.0 else 0  # at first the mean is that of all
-    bias_m = known.bias_m + difference_m / known.compared
-    known.bias_m = min(max(bias_m, -APART_M), APART_M)
+    # at first the mean is that of all
+    known.compared[source] += 1 if known.compared[source] * SLOW_RATE < 1.0 else 0
+    bias_m += difference_m / known.compared[source]
+    known.bias_m[source] = min(max(bias_m, -APART_M), APART_M)
     if known.contradictions < 2:
         return False
     known.descent_m = 0.0
@@ -92,7 +99,7 @@ def is_useful(adaptive):
     Each of many samples may agree and all of them differ: ground that changed a little, or much noise.
     """
     limit_m = max(0.5 * DISAGREEMENT_M, 2.0 * adaptive.noise.sigma_m)
-    return adaptive.known.difference_m2 < limit_m * limit_m
+    return adaptive.known.difference_m2[known_source(adaptive)] < limit_m * limit_m
 
 
 @jit

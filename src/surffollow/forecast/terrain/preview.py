@@ -85,7 +85,7 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
     known, ground, leads = adaptive.known, adaptive.preview.ground_m, terrain_buffer.sensor_leads(adaptive)
     if not leads and adaptive.sample.arc_length_m < known.trusted_from_m:
         return 0
-    bias_m, periods = 0.0 if leads else known.bias_m, 0
+    bias_m, periods = 0.0 if leads else known.bias_m[known_ground.known_source(adaptive)], 0
     for k in range(HORIZON):
         travel = adaptive.kinematics.speed_mps * PERIOD_S * k
         ground[k] = known_ground.known_height(adaptive, inputs, s_m + travel, ahead_m + travel) + bias_m

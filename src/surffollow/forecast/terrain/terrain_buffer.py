@@ -53,6 +53,16 @@ def store_ground(adaptive, s_m, h_m):
 
 
 @jit
+def store_ground_under(adaptive, s_m, h_m):
+    """Store a height of channel 0, unless a further channel leads.
+
+    Heights that channel 0 is compared with are then of that channel alone.
+    """
+    if adaptive.lookahead.lead_m == 0.0 or sensor_leads(adaptive):
+        store_ground(adaptive, s_m, h_m)
+
+
+@jit
 def buffered_height(adaptive, s_m):
     """Buffered height at an arc length, linear between cells [m]; NaN where there is none.
 
