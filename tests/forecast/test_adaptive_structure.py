@@ -28,6 +28,7 @@ OWNERS = {
     "sample": "measurement",
     "health": "health",
     "response": "response",
+    "descent": "descent",
     "prediction": "range_prediction",
     "noise": "noise",
     "gate": "innovation_gate",

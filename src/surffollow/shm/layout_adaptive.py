@@ -22,6 +22,7 @@ from surffollow.shm.layout_adaptive_estimation import (
 from surffollow.shm.layout_adaptive_sensing import (
     Beams,
     Clock,
+    Descent,
     Health,
     Hold,
     Kinematics,
@@ -170,6 +171,7 @@ class AdaptiveState(Schema):
     sample = Nested(Sample)
     health = Nested(Health)
     response = Nested(Response)
+    descent = Nested(Descent)
     prediction = Nested(Prediction)
     noise = Nested(Noise)
     gate = Nested(Gate)
@@ -212,6 +214,7 @@ REASON_NAMES = (
     "readings arrive later than they did: delayed, or the sensor's clock is slow",
     "range repeats the ones before although the tool moves; it is not used",
     "some sensors disagree with the others and are left out",
+    "range stays too long while the tool descends steeply: it may not see the ground",
 )
 (
     REASON_NONE,
@@ -230,7 +233,8 @@ REASON_NAMES = (
     REASON_LATE,
     REASON_REPEATED,
     REASON_LEFT_OUT,
-) = range(16)
+    REASON_DESCENT,
+) = range(17)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

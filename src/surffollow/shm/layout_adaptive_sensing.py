@@ -119,6 +119,21 @@ class Response(Schema):
     repeated = I64(doc="1: the test is there because the range is repeated")
 
 
+class Descent(Schema):
+    """Descent of the tool, and the ranges in it (`descent`)."""
+
+    t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none")
+    samples = I64(doc="samples in it")
+    top_z_m = F64(unit="m", doc="height of the tool where it began")
+    low_z_m = F64(unit="m", doc="least height since then")
+    travel_m = F64(unit="m", doc="distance travelled since then")
+    error_m = F64(unit="m", doc="mean of range minus stand-off since then")
+    range_m = F64(unit="m", doc="running mean of the range")
+    least_m = F64(unit="m", doc="least of these means; fades toward them")
+    most_m = F64(unit="m", doc="greatest of these means; fades toward them")
+    unexplained = I64(doc="1: the ranges do not explain the descent")
+
+
 class Prediction(Schema):
     """Predictor of the range over time (`range_prediction`)."""
 

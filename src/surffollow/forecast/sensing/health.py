@@ -143,6 +143,7 @@ def present_health(params, adaptive, silent, left_out):
         (left_out != 0, layout.REASON_LEFT_OUT | left_out << layout.REASON_CHANNELS),
         (is_late(params, adaptive), layout.REASON_LATE),
         (adaptive.response.unused != 0, layout.REASON_REPEATED),
+        (adaptive.descent.unexplained != 0, layout.REASON_DESCENT),
         (adaptive.gate.pending > 0, layout.REASON_PENDING),
     ):
         if found:

@@ -10,7 +10,15 @@ from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_res
 from surffollow.forecast.estimation import adaptation, estimate, innovation_gate
 from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import MAX_GAP_NS
-from surffollow.forecast.sensing import clock, health, kinematics, latency_identification, response, standoff
+from surffollow.forecast.sensing import (
+    clock,
+    descent,
+    health,
+    kinematics,
+    latency_identification,
+    response,
+    standoff,
+)
 from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
 from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
@@ -136,6 +144,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
     if orients:
         range_m = rotation_response.mean_range(adaptive.beams, params.n_channels, t_ns, range_m)
     response.observe_response(params, adaptive, t_ns, range_m, pose[2], gap_s)
+    descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
     responds = not response.is_unresponsive(adaptive.response)
     if was_stuck and responds:
         estimate.discard_estimate(adaptive.estimate)

@@ -256,13 +256,13 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     t_ns : int64             timestamp
     range_m : float64        range [m]
     tool_z_m : float64       height of the tool at that time [m]
-    gap_s : float64          a longer time without samples begins a new run [s]
+    gap_s : float64          after a longer time without samples an answer is awaited anew [s]
     """
     response, number = adaptive.response, mean_samples(adaptive)
     sigma = max(adaptive.noise.sigma_m, MIN_NOISE_M)
     band = mean_band_m(sigma, number)
-    begins = response.t_ns == 0 or not 0.0 < (t_ns - response.t_ns) * 1e-9 <= gap_s
-    response.t_ns = t_ns
+    begins, since_s = response.t_ns == 0 or t_ns < response.t_ns, (t_ns - response.t_ns) * 1e-9
+    response.t_ns, response.test_ns = t_ns, t_ns if since_s > gap_s else response.test_ns
     _count_repeats(params, adaptive, range_m, tool_z_m)
     # chance makes four of a row now and then; without noise, or before it is known, ranges stay for long
     often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 5.0) and sigma > MIN_NOISE_M

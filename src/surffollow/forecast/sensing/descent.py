@@ -1,0 +1,75 @@
+"""Descents that the ranges do not explain: the ground seems to fall by as much as the tool descends.
+
+A sensor that sees something else than the ground (a hose that sways below it, an echo, noise) may read ranges
+that vary, and do not depend on the tool. Where their mean is longer than the stand-off, the tool descends and
+descends. Over ground that stays, a descent makes the range shorter, and ends after two mean errors at most.
+Over ground that falls, the mean error is small beside the spread of the ranges. The health is SUSPECT when
+neither is so, and the ground would be steep.
+"""
+
+from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
+from surffollow.forecast.sensing.mean_range import mean_band_m, mean_samples
+from surffollow.shm.jit import jit
+
+RETURN_SHARE = 0.1  # of a fall: a tool that has risen by more begins another descent
+FALL_ERRORS = 3.0  # mean errors in a fall over ground that stays: two at most
+LEAST_ERROR = 0.02  # of the stand-off: less takes a descent of fifty errors or more to the ground
+ERROR_MEANS = 8.0  # mean ranges in the mean error
+SPREAD_TAUS = 50.0  # in which the spread of the ranges fades
+
+
+@jit
+def begin_descent(descent, tool_z_m):
+    """Begin at this height without a range; the spread of the ranges stays."""
+    descent.samples, descent.error_m, descent.travel_m = 0, 0.0, 0.0
+    descent.top_z_m = descent.low_z_m = tool_z_m
+
+
+@jit
+def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
+    """Update the descent with a sample of channel 0, and whether it is unexplained.
+
+    With mean error e, fall Δz, spread ±B of the ranges, stand-off s₀ and the distance d travelled:
+    e > 0.02 s₀, Δz > 3 e, e Δz > 0.36 B s₀, Δz > 0.2 d.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`descent` updated)
+    t_ns : int64         timestamp
+    range_m : float64    range [m]
+    tool_z_m : float64   height of the tool at that time [m]
+    """
+    descent, number = adaptive.descent, mean_samples(adaptive)
+    band = mean_band_m(max(adaptive.noise.sigma_m, MIN_NOISE_M), number)
+    if descent.t_ns == 0 or not 0 < t_ns - descent.t_ns < LONG_GAP_NS:
+        descent.range_m = descent.least_m = descent.most_m = range_m
+        begin_descent(descent, tool_z_m)
+    descent.t_ns = t_ns
+    descent.range_m += (range_m - descent.range_m) / number
+    interval_s = adaptive.prediction.interval_s
+    fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
+    descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)
+    descent.most_m = max(descent.most_m + fade * (descent.range_m - descent.most_m), descent.range_m)
+    fall_m, rise_m = descent.top_z_m - descent.low_z_m, tool_z_m - descent.low_z_m
+    if rise_m > min(fall_m, max(4.0 * band, RETURN_SHARE * fall_m)):  # more than the noise hides
+        begin_descent(descent, tool_z_m)
+    descent.low_z_m = min(descent.low_z_m, tool_z_m)
+    descent.samples += 1
+    newest = min(float(descent.samples), ERROR_MEANS * number)
+    descent.error_m += (range_m - params.offset_m - descent.error_m) / newest
+    descent.travel_m += adaptive.kinematics.speed_mps * interval_s
+    fall_m, error_m = descent.top_z_m - tool_z_m, descent.error_m
+    spread_m = max(0.5 * (descent.most_m - descent.least_m), band)
+    least_m = max(band, LEAST_ERROR * params.offset_m)
+    long = descent.samples > 2.0 * number and error_m > least_m and fall_m > FALL_ERRORS * error_m
+    great = error_m * fall_m > 0.36 * spread_m * params.offset_m
+    steep = fall_m > PLAUSIBLE_SLOPE * descent.travel_m
+    below = abs(adaptive.sample.lead_m) < APART_M
+    descent.unexplained = 1 if long and great and steep and below else 0
+
+
+@jit
+def reset_descent(descent):
+    """Begin anew with the next sample."""
+    descent.t_ns = descent.unexplained = 0

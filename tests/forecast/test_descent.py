@@ -1,0 +1,130 @@
+"""Ranges that do not explain a descent are named in the health, before the tool is down."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow.benchmark.hazard_scenarios import SIGMA_M, STANDOFF_M
+from surffollow.forecast.sensing.descent import observe_descent
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import REASON_DESCENT, REASON_NAMES, AdaptiveState
+
+from .feeding import default_params
+from .test_adaptive_response import closed_loop, noisy
+
+MS = 1_000_000
+REASON = REASON_NAMES[REASON_DESCENT]
+
+
+def seen(states: list[dict]) -> list[bool]:
+    return [s["reason"] == REASON or s["health"] == "STUCK" for s in states]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "unseen_m",
+    [
+        lambda t, rng: 0.105 + 0.005 * math.sin(2.0 * math.pi * t) + SIGMA_M * rng.standard_normal(),
+        lambda t, rng: 0.105 + 0.0025 * rng.standard_normal(),
+        lambda t, rng: 0.11 + 0.01 * rng.standard_normal(),
+    ],
+    ids=["hose", "noise", "much noise"],
+)
+def test_ranges_that_depend_on_nothing_are_named_before_the_tool_is_down(unseen_m, seed):
+    def read(t, r, rng):
+        return noisy(t, r, rng) if t < 2.0 else unseen_m(t, rng)
+
+    heights, _, states = closed_loop(
+        lambda x: 0.01 * math.sin(12.0 * x), read, seconds=5.0, seed=seed, speed=0.05
+    )
+    first = next(k for k, s in enumerate(seen(states)) if s)
+    assert first > 200
+    assert heights[: first + 1].min() > 0.5 * STANDOFF_M
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("ground", "speed"),
+    [
+        (lambda x: 0.02 * math.sin(8.0 * x) + 0.005 * math.sin(31.0 * x), 0.2),
+        (lambda x: -0.3 * x, 0.2),
+        (lambda x: -0.03 * (1.0 + math.tanh(20.0 * (x - 0.3))), 0.1),
+        (lambda x: -0.02 * (x > 0.3), 0.1),
+    ],
+    ids=["waves", "ramp", "flank", "edge"],
+)
+def test_a_tool_that_follows_falling_ground_is_not_suspected(ground, speed, seed):
+    _, _, states = closed_loop(ground, noisy, seconds=5.0, seed=seed, speed=speed)
+    assert not any(s["reason"] == REASON for s in states)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_descent_is_what_its_naive_twin_says(seed):
+    """The twin keeps all samples of the descent, and finds its mean error from them each time."""
+    rng = np.random.default_rng(seed)
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    params["offset_m"] = STANDOFF_M
+    a["noise"]["sigma_m"], a["plant"]["tau_s"], a["prediction"]["interval_s"] = 2e-4, 0.04, 4e-3
+    speed = float(rng.uniform(0.0, 0.3))
+    a["kinematics"]["speed_mps"] = speed
+    band, z, mean, kept, falls = 3.0 * 2e-4 / math.sqrt(8.0), 0.0, None, [], 0
+    for k in range(1, 1500):
+        z -= 3e-4 * float(rng.random() - 0.2)
+        z += 0.01 * float(rng.random() < 0.005)
+        r = STANDOFF_M + 0.004 + 0.003 * math.sin(0.05 * k) + 1e-3 * float(rng.standard_normal())
+        observe_descent(params, a, k * 4 * MS, r, z)
+        mean = r if mean is None else mean + (r - mean) / 8.0
+        low, high = (mean, mean) if k == 1 else (low, high)
+        low = min(low + (mean - low) / 500.0, mean)
+        high = max(high + (mean - high) / 500.0, mean)
+        heights = [h for h, _ in kept]
+        fall = heights[0] - min(heights) if kept else 0.0
+        if not kept or z - min(heights) > min(fall, max(4.0 * band, 0.1 * fall)):
+            kept = []
+        kept.append((z, r))
+        error, fall = 0.0, kept[0][0] - z
+        for n, (_, x) in enumerate(kept, start=1):
+            error += (x - STANDOFF_M - error) / min(n, 64)
+        spread = max(0.5 * (high - low), band)
+        expected = (
+            len(kept) > 16
+            and error > max(band, 0.02 * STANDOFF_M)
+            and fall > 3.0 * error
+            and error * fall > 0.36 * spread * STANDOFF_M
+            and fall > 0.2 * speed * 4e-3 * len(kept)
+        )
+        assert a["descent"]["unexplained"] == expected, k
+        falls += expected
+    print(f"seed {seed}: {falls} samples unexplained")
+
+
+@pytest.mark.parametrize("gap_at_s", [3.0, 3.5, 5.0])
+def test_a_pause_of_a_stuck_sensor_does_not_make_it_a_good_one(gap_at_s):
+    """GIVEN a range that froze in a steady fall WHEN a few readings are missing THEN it stays STUCK."""
+
+    def read(t, r, rng):
+        if gap_at_s < t < gap_at_s + 0.08:
+            return math.nan
+        return noisy(t, r, rng) if t < 2.0 else noisy(t, STANDOFF_M, rng)
+
+    _, _, states = closed_loop(lambda x: -0.15 * min(x, 0.8), read, seconds=7.0)
+    stuck = [s["health"] == "STUCK" for s in states]
+    begin = stuck.index(True)
+    assert begin < 100 * gap_at_s
+    assert all(stuck[begin:])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_frozen_sensor_with_pauses_is_found_before_the_tool_is_down(seed):
+    """GIVEN level ground, a range frozen at the stand-off with its noise, and a gap of 80 ms every second."""
+
+    def read(t, r, rng):
+        if t % 1.0 < 0.08:
+            return math.nan
+        return noisy(t, r, rng) if t < 2.0 else noisy(t, STANDOFF_M, rng)
+
+    heights, _, _ = closed_loop(lambda _: 0.0, read, seconds=30.0, seed=seed, speed=0.1)
+    assert heights.min() > 0.8 * STANDOFF_M
