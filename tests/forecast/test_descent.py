@@ -70,14 +70,16 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
     a["noise"]["sigma_m"], a["plant"]["tau_s"], a["prediction"]["interval_s"] = 2e-4, 0.04, 4e-3
     speed = float(rng.uniform(0.0, 0.3))
     a["kinematics"]["speed_mps"] = speed
-    band, z, mean, kept, falls = 3.0 * 2e-4 / math.sqrt(8.0), 0.0, None, [], 0
+    band, z, kept, falls = 3.0 * 2e-4 / math.sqrt(8.0), 0.0, [], 0
+    mean = low = high = math.nan
     for k in range(1, 1500):
         z -= 3e-4 * float(rng.random() - 0.2)
         z += 0.01 * float(rng.random() < 0.005)
         r = STANDOFF_M + 0.004 + 0.003 * math.sin(0.05 * k) + 1e-3 * float(rng.standard_normal())
         observe_descent(params, a, k * 4 * MS, r, z)
-        mean = r if mean is None else mean + (r - mean) / 8.0
-        low, high = (mean, mean) if k == 1 else (low, high)
+        if k == 1:
+            mean = low = high = r
+        mean += (r - mean) / 8.0
         low = min(low + (mean - low) / 500.0, mean)
         high = max(high + (mean - high) / 500.0, mean)
         heights = [h for h, _ in kept]
