@@ -13,7 +13,7 @@ from surffollow.errors import DriverError
 from surffollow.hw.driver import ConversionQueue, DriverInfo
 from surffollow.hw.driver_thread import FIFO_PRIORITY, JOIN_S
 from surffollow.hw.range_settings import SILENCE_S
-from surffollow.hw.ranges import RangeWriter
+from surffollow.hw.ranges import AHEAD_NS, RangeWriter
 from surffollow.units import format_ns
 
 POLL_S = 0.05  # how long a read may wait, and `stop` for it
@@ -96,6 +96,7 @@ class PolledDriver:
         self._silence_ns = round(silence_s * 1e9)
         self._thread: threading.Thread | None = None
         self._end = threading.Event()
+        self._queue: ConversionQueue | None = None
         self._fault = ""
         self._connected = False
         self._received_ns = self._read_ns = 0
@@ -130,7 +131,7 @@ class PolledDriver:
             raise DriverError(f"driver '{self._source.name}' was started twice; stop it first")
         self._end.clear()
         self._fault, self._received_ns = "", time.monotonic_ns()
-        writer = RangeWriter(queue, self._info)
+        self._queue, writer = queue, RangeWriter(queue, self._info)
         self._thread = threading.Thread(target=self._run, args=(writer,), name="sensor", daemon=True)
         self._thread.start()
         if self._thread.native_id is not None:
@@ -162,6 +163,16 @@ class PolledDriver:
                 f"good one {since} ago); check baud rate, format and checksum"
             ]
         return []
+
+    def notes(self) -> list[str]:
+        """Timestamps of another clock, which count as the time of their arrival."""
+        ahead_ns = 0 if self._queue is None else self._queue.ahead_ns
+        if ahead_ns <= AHEAD_NS:
+            return []
+        return [
+            f"{self._source.name}: timestamps lie up to {format_ns(ahead_ns)} ahead of CLOCK_MONOTONIC; the "
+            "time of arrival is used instead; give time.monotonic_ns()"
+        ]
 
     def _run(self, writer: RangeWriter) -> None:
         while not self._end.is_set():

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import operator
 import time
 
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight, Mount, mounts_of
 from surffollow.shm.conversion import COUNTS_MAX, FLAG_INVALID, FLAG_OUTSIDE, OUTSIDE_M
 from surffollow.shm.layout_follow import CHANNELS
 
+AHEAD_NS = 2_000_000  # farther ahead than clocks read on two processors differ: a wrong clock
 FINEST_M = 1e-6  # one count, where 24 bits hold the window: up to 8.3 m
 
 
@@ -146,6 +148,22 @@ class RangeWriter:
         ----------
         t_ns, word : int
             as for `ConversionQueue.push`
+
+        Raises
+        ------
+        DriverError
+            one of them is no whole number
         """
-        self._last_ns = t_ns = max(self._last_ns, min(t_ns, time.monotonic_ns()))
+        try:
+            t_ns, word = operator.index(t_ns), operator.index(word)
+        except TypeError:
+            raise DriverError(
+                f"a conversion is (time [ns], packed word), two whole numbers, not ({t_ns!r}, {word!r}); "
+                "use time.monotonic_ns() and pack_range()"
+            ) from None
+        now_ns = time.monotonic_ns()
+        if t_ns > now_ns:
+            self._queue.ahead_ns = max(self._queue.ahead_ns, t_ns - now_ns)
+            t_ns = now_ns
+        self._last_ns = t_ns = max(self._last_ns, t_ns)
         self._queue.push(t_ns, word)
