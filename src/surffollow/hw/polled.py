@@ -18,12 +18,16 @@ from surffollow.units import format_ns
 
 POLL_S = 0.05  # how long a read may wait, and `stop` for it
 RETRY_S = 0.2
+REJECTION = "check baud rate, format and checksum"  # unless the source has an attribute `rejection`
 # the states of a polled driver
 STOPPED, WAITING, SILENT, GARBLED, RUNNING = "stopped", "waiting", "silent", "garbled", "running"
 
 
 class Source(Protocol):
-    """Input of a polled driver: a device or a stream."""
+    """Input of a polled driver: a device or a stream.
+
+    An attribute `rejection`, if it has one, is the remedy for the input rejected last: "check the format".
+    """
 
     @property
     def name(self) -> str:
@@ -159,8 +163,8 @@ class PolledDriver:
             if state == SILENT:
                 return [f"{name}: connected, but nothing was received for {since}"]
             return [
-                f"{name}: what arrives is no measurement ({self._source.rejected} pieces rejected, the last "
-                f"good one {since} ago); check baud rate, format and checksum"
+                f"{name}: what arrives is not taken ({self._source.rejected} pieces rejected, the last good one "
+                f"{since} ago); {getattr(self._source, 'rejection', REJECTION)}"
             ]
         return []
 
