@@ -299,3 +299,19 @@ def test_a_polled_driver_notes_timestamps_of_another_clock() -> None:
     finally:
         driver.stop()
     assert "ahead of CLOCK_MONOTONIC; the time of arrival is used instead" in note
+
+
+@pytest.mark.parametrize("error", [SystemExit(5), KeyboardInterrupt(), GeneratorExit()], ids=repr)
+def test_a_polled_driver_survives_any_exception_of_its_source(error: BaseException) -> None:
+    def measured(info: DriverInfo) -> tuple[int, int]:
+        if driver.connections == 1:
+            raise error
+        return time.monotonic_ns(), pack_range(info, 0, 0.1)
+
+    driver, queue = driver_of(measured), ConversionQueue(64)
+    driver.start(queue)
+    try:
+        until(lambda: any(type(error).__name__ in text for text in driver.faults()), "the fault")
+        until(lambda: len(queue) > 0 and driver.faults() == [], "distances")
+    finally:
+        driver.stop()

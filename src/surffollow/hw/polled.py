@@ -187,10 +187,10 @@ class PolledDriver:
                 self.connections += 1
                 self._fault = ""
                 self._read(writer)
-            except Exception as error:  # any exception of a device or its library: it is tried again
+            except BaseException as error:  # also SystemExit of a device's library: it is tried again
                 self._fault = _text(error)
             self._connected = False
-            with contextlib.suppress(Exception):
+            with contextlib.suppress(BaseException):
                 self._source.close()
             self._end.wait(RETRY_S)
 
@@ -203,7 +203,9 @@ class PolledDriver:
                 self._rejected_before = self._source.rejected
 
 
-def _text(error: Exception) -> str:
+def _text(error: BaseException) -> str:
+    if not isinstance(error, Exception):
+        return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror} ({error.filename})" if error.filename else error.strerror
     return str(error) or type(error).__name__
