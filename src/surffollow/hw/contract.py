@@ -115,7 +115,7 @@ def _distance_m(info: DriverInfo, word: int) -> float:
 
 
 def _await_distance(driver: Driver, queue: ConversionQueue, timeout_s: float) -> NDArray[np.int64]:
-    """What the driver delivers until there are five conversions, and one of them lies inside the window."""
+    """Take a driver's conversions until there are five, and one of them is a distance inside the window."""
     info, items, inside, last_m = driver.info, [], 0, np.nan
 
     def delivered() -> bool:

@@ -163,8 +163,8 @@ class PolledDriver:
             if state == SILENT:
                 return [f"{name}: connected, but nothing was received for {since}"]
             return [
-                f"{name}: what arrives is not taken ({self._source.rejected} pieces rejected, the last good one "
-                f"{since} ago); {getattr(self._source, 'rejection', REJECTION)}"
+                f"{name}: what arrives is not taken ({self._source.rejected} pieces rejected, the last good "
+                f"one {since} ago); {getattr(self._source, 'rejection', REJECTION)}"
             ]
         return []
 
