@@ -9,6 +9,7 @@ import time
 
 import click
 
+from surffollow.cli.entry import ended_at_once_by_interrupts
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 
@@ -26,26 +27,27 @@ from surffollow.cli.option_types import SERVICE_NAME, Finite
 )
 def start_command(config_path: str | None, name: str | None, quiet: bool, strict: bool) -> None:
     """Run the service in the foreground: prints READY when robots may attach, ends on SIGTERM or Ctrl-C."""
-    from surffollow.service.messages import hold_standard_files
+    with ended_at_once_by_interrupts():
+        from surffollow.service.messages import hold_standard_files
 
-    hold_standard_files()
-    import msgspec
+        hold_standard_files()
+        import msgspec
 
-    from surffollow.config.names import check_service_name
-    from surffollow.config.service import ServiceConfig, load_config
-    from surffollow.errors import ConfigError
-    from surffollow.shm.trusted_folder import check_numba_settings
+        from surffollow.config.names import check_service_name
+        from surffollow.config.service import ServiceConfig, load_config
+        from surffollow.errors import ConfigError
+        from surffollow.shm.trusted_folder import check_numba_settings
 
-    config = load_config(config_path) if config_path else ServiceConfig()
-    if name is not None:
-        config = msgspec.structs.replace(config, name=name)
-    if strict:
-        config = msgspec.structs.replace(
-            config, realtime=msgspec.structs.replace(config.realtime, strict=True)
-        )
-    check_service_name(config.name)
-    check_numba_settings()
-    from surffollow.service.daemon import serve
+        config = load_config(config_path) if config_path else ServiceConfig()
+        if name is not None:
+            config = msgspec.structs.replace(config, name=name)
+        if strict:
+            config = msgspec.structs.replace(
+                config, realtime=msgspec.structs.replace(config.realtime, strict=True)
+            )
+        check_service_name(config.name)
+        check_numba_settings()
+        from surffollow.service.daemon import serve
 
     try:
         serve(config, quiet)
