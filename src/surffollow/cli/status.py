@@ -157,6 +157,8 @@ def render(s: dict[str, Any]) -> str:
         f"map      {map_text(s['name'], s['map'])}",
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
+    if not s["alive"]:
+        lines[0] += "; the lines below are what it published last"
     # behind the line of clients, and behind that of poses
     lines[7:7] = [
         f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}" for c in s["clients"]
