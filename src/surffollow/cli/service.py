@@ -63,13 +63,14 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 @click.option(
     "--timeout", type=Finite(min=0.0), default=10.0, show_default=True, help="Seconds to wait for its end."
 )
-def stop_command(name: str, purge: bool, timeout: float) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
     """End a service in good order; its map is kept for the next start unless --purge is given."""
     from surffollow.config.trusted_users import trusted_owners
     from surffollow.errors import NotRunningError, ServiceError
     from surffollow.shm.name_lock import holder, lock_owner
 
-    pid = running_pid(name)
+    pid, purged = running_pid(name), False
     if pid:
         try:
             ask_to_end(pid, name)
@@ -95,6 +96,10 @@ def stop_command(name: str, purge: bool, timeout: float) -> None:
         )
     elif not pid:
         raise NotRunningError(f"no service {name!r} is running")
+    if as_json:
+        import json
+
+        print(json.dumps({"name": name, "pid": pid or None, "purged": purged}))
 
 
 def ask_to_end(pid: int, name: str) -> None:
