@@ -76,8 +76,8 @@ def foreign(name: str, found: int, owners: Collection[int]) -> str:
 def _not_own(name: str, found: int, owners: Collection[int]) -> str:
     """The same for one who writes it: a program writes objects of its own user only."""
     return (
-        f"{_look_at(name, found, owners)}, let user {found} or root remove it (rm /dev/shm/{name}), or choose "
-        "another name (--name)"
+        f"{_look_at(name, found, owners)}, let user {found} or root remove it (rm /dev/shm/{name}), "
+        "or choose another name (--name)"
     )
 
 
