@@ -105,7 +105,7 @@ def say_not_kept(folder: str, reason: str) -> None:
 
 
 def _remedy() -> str:
-    """What helps where folders were passed over; the variable comes first, so its folder is one of them."""
+    """The remedy where folders were passed over; that of the variable, which comes first, is one of them."""
     if os.environ.get("SURFFOLLOW_CACHE_DIR"):
         return "let SURFFOLLOW_CACHE_DIR name a folder that this user can write and no other one can change"
     return "name a folder of your own: SURFFOLLOW_CACHE_DIR"
