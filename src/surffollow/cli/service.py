@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import time
 
 import click
@@ -51,6 +52,8 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 
     try:
         serve(config, quiet)
+    except KeyboardInterrupt:  # before the service had objects to tidy up
+        sys.exit(130)
     except ConfigError as error:
         if config_path is None or str(error).startswith(config_path):
             raise
