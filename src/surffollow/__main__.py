@@ -1,5 +1,5 @@
 """`python -m surffollow`: the command line without an installed script."""
 
-from surffollow.cli.main import main
+from surffollow.cli.entry import main
 
 main()

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import re
 import time
 
 import pytest
+from click.testing import CliRunner
 
 from arbiter.arbiter_process import send_raw
 from running_service import WAIT_S, until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import layout as al
+from surffollow.cli.main import cli
 from surffollow.errors import ClosedError, NotRunningError, RefusedError, UsageError
 
 
@@ -317,6 +320,20 @@ def test_status_and_history_commands_tell_what_clients_did(arbiter, attach_clien
     assert status["resources"]["robot"]["holder"] == "go"
     assert status["resources"]["robot"]["units"] == ["m/s", "rad/s"]
     assert [c["name"] for c in status["clients"]] == ["go"]
+
+
+def test_the_status_of_a_killed_arbiter_ends_with_exit_code_1(make_arbiter):
+    server = make_arbiter().start()
+    words = ["arbiter", "status", "--name", server.name]
+    assert CliRunner().invoke(cli, words).exit_code == 0
+    server.kill()
+    with observe(server.name) as watcher:
+        until(lambda: not watcher.alive(), "silence")
+    done = CliRunner().invoke(cli, words)
+    assert "does not run (its last board)" in done.stdout
+    assert done.exit_code == 1
+    done = CliRunner().invoke(cli, [*words, "--json"])
+    assert (json.loads(done.stdout)["alive"], done.exit_code) == (False, 1)
 
 
 def test_after_a_restart_every_token_is_void_and_clients_ask_again(make_arbiter):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -79,6 +80,19 @@ def test_watch_prints_each_change_it_sees(space, platform):
         lines += watch.stdout.readlines()
     assert [json.loads(line)["values"]["t_ns"] for line in lines] == [5, 6]
     assert "state='home'" in run("watch", f"{space}.platform", "--count", "1")
+
+
+def no_constant(text: str) -> None:
+    raise AssertionError(f"{text} is no JSON")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_values_that_json_does_not_know_are_null(space, platform, value):
+    with platform.write() as slot:
+        slot.pose = (value, 2.0, 3.0)
+    for words in (["show"], ["watch", "--count", "1"]):
+        text = run(words[0], f"{space}.platform", "--json", *words[1:])
+        assert json.loads(text, parse_constant=no_constant)["values"]["pose"] == [None, 2.0, 3.0]
 
 
 def test_what_is_no_block_is_said_to_be_none(space):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from surffollow.cli.main import cli
 from surffollow.client import board as board_module
-from surffollow.client.board import Board
+from surffollow.client.board import Board, start_report
 from surffollow.config.service import ServiceConfig
 from surffollow.errors import NotReadyError
 from surffollow.service.notify import CompileProgress
@@ -104,6 +107,37 @@ def test_a_control_loop_that_attaches_again_never_waits(objects: SharedObjects, 
     with pytest.raises(NotReadyError, match=r"not ready .*: compiling kernels, 7: one; try again in a while"):
         Board(NAME, ready_timeout_s=0.0)
     assert clock.now_s == 0.0
+
+
+def test_the_status_of_a_service_that_compiles_is_given_at_once(objects: SharedObjects, clock: Clock) -> None:
+    # GIVEN a service that starts
+    runner = CliRunner()
+    done = runner.invoke(cli, ["status", "--name", NAME])
+    assert (done.exit_code, done.stdout.splitlines()[0]) == (
+        3,
+        f"service {NAME}: starting, pid {os.getpid()}",
+    )
+    # WHEN it compiles, THEN the status says so in text and in JSON, and waits for nothing
+    tell(objects, "compiling kernels, 7: one")
+    done = runner.invoke(cli, ["status", "--name", NAME])
+    assert (done.exit_code, done.stdout.splitlines()) == (
+        3,
+        [f"service {NAME}: compiling, pid {os.getpid()}", "note     compiling kernels, 7: one"],
+    )
+    done = runner.invoke(cli, ["status", "--name", NAME, "--json"])
+    said = json.loads(done.stdout)
+    assert (done.exit_code, said["state"], said["alive"]) == (3, "compiling", False)
+    assert said["main"]["text"] == "compiling kernels, 7: one"
+    assert clock.now_s == 0.0
+
+
+def test_the_status_of_a_service_that_died_while_it_compiled_is_no_start(
+    objects: SharedObjects, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tell(objects, "compiling kernels, 7: one")
+    assert start_report(NAME) is not None
+    monkeypatch.setattr(board_module, "is_running", lambda *_: False)
+    assert start_report(NAME) is None
 
 
 def test_a_cold_start_publishes_how_far_it_is_even_when_it_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:

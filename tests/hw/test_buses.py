@@ -139,6 +139,14 @@ def test_only_the_named_sender_is_listened_to() -> None:
             # THEN its datagram is rejected
             assert source.rejected == 1
             assert [r for _, _, r in ranges(driver, queue)] == pytest.approx([0.1], abs=1e-6)
+            # WHEN only the stranger sends, THEN the fault names both
+            until(lambda: driver.state == SILENT, "silence")
+            stranger.sendto(line(0.07), ("127.0.0.1", source.port))
+            until(lambda: driver.state == GARBLED, "what came last told")
+            (fault,) = driver.faults()
+            found = "{}:{}".format(*stranger.getsockname())
+            assert f"datagrams come from {found}, expected from {reported}" in fault
+            assert "baud rate" not in fault
         finally:
             driver.stop()
 

@@ -15,8 +15,16 @@ from typing import Any
 import pytest
 
 from hw.wires import FRAME_FORMAT, WINDOW, FakeIio, Pty, Ring, datagrams, feeding, frame
-from running_service import World, unique_name
-from surffollow.hw import ConversionQueue, Driver, DriverInfo, RangeWriter, metre_info
+from running_service import World, unique_name, until
+from surffollow.hw import (
+    ConversionQueue,
+    Driver,
+    DriverInfo,
+    PolledDriver,
+    RangeWriter,
+    metre_info,
+    pack_range,
+)
 from surffollow.hw.contract import ContractError, check_driver
 from surffollow.hw.pushed_ranges import pushed_of, take_pushed
 from surffollow.hw.registry import make_driver
@@ -103,7 +111,7 @@ def iio(folder: Path) -> Iterator[Made]:
         "metres_per_volt": 0.1,
         **WINDOW,
     }
-    with feeding(lambda range_m: device.write(device.scan(1000, 100))):
+    with feeding(lambda range_m: device.write(device.scan(3000, 100))):
         yield (lambda: make_driver(settings, "x")), True
 
 
@@ -178,6 +186,7 @@ def test_the_contract_runs_from_a_shell(tmp_path: Path) -> None:
 class Good:
     """A driver that is right, for others to be wrong in one thing."""
 
+    word = 100_000  # 0.1 m
     ahead_ns, channel, quiet_after_stop, twice = 0, 0, True, False
 
     def __init__(self) -> None:
@@ -197,7 +206,7 @@ class Good:
         for k in range(20):
             queue.push(
                 time.monotonic_ns() + self.ahead_ns - (k if self.ahead_ns < 0 else 0) * MS,
-                100 | self.channel << 24,
+                self.word | self.channel << 24,
             )
 
     def stop(self) -> None:
@@ -212,11 +221,49 @@ class Good:
         return []
 
 
+SOURCES: dict[str, Callable[[DriverInfo], tuple[Any, Any]]] = {
+    "ahead of CLOCK_MONOTONIC, by up to .*; use": lambda info: (time.time_ns(), pack_range(info, 0, 0.1)),
+    "inside the window 0.05 to 0.3 m: the last one is 100 m; is the unit metres": lambda info: (
+        time.monotonic_ns(),
+        pack_range(info, 0, 100.0),
+    ),
+    "no distance was inside .* sees nothing": lambda info: (
+        time.monotonic_ns(),
+        pack_range(info, 0, float("nan")),
+    ),
+    r"two whole numbers, not \(\d+, 0.1\)": lambda info: (time.monotonic_ns(), 0.1),
+    r"two whole numbers, not \(\d+\.\d+, \d+\)": lambda info: (time.monotonic(), pack_range(info, 0, 0.1)),
+}
+
+
+class Reading:
+    """A source whose every reading is the same."""
+
+    name, rejected = "laser", 0
+
+    def __init__(self, info: DriverInfo, measured: Callable[[DriverInfo], tuple[Any, Any]]) -> None:
+        self._info, self._measured, self._pause = info, measured, threading.Event()
+
+    def open(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def read(self, timeout_s: float) -> list[tuple[Any, Any]]:
+        self._pause.wait(0.002)
+        return [self._measured(self._info)]
+
+
+def driver_of(measured: Callable[[DriverInfo], tuple[Any, Any]]) -> PolledDriver:
+    info = metre_info("laser", 0.05, 0.3)
+    return PolledDriver(info, Reading(info, measured))
+
+
 WRONG = {
     "lies ahead": {"ahead_ns": 10**9},
     "go back": {"ahead_ns": -1},
     "channel 3 of 1": {"channel": 3},
     "after stop": {"quiet_after_stop": False},
+    "no distance was inside the window 0.05 to 0.5 m: the last one is 0 m": {"word": 0},
     "second start": {"twice": True},
     "expected a list of texts": {"faults": lambda self: ["", 3]},
     "lacks info, start, stop or faults": {"start": None, "faults": 5, "info": 3, "stop": None},
@@ -235,3 +282,36 @@ def test_a_driver_that_breaks_the_contract_is_reported_with_the_reason(says: str
         broken = type("Broken", (Good,), WRONG[says])
     with pytest.raises(ContractError, match=says):
         check_driver(broken, timeout_s=1.0)
+
+
+@pytest.mark.parametrize("says", SOURCES)
+def test_a_source_with_a_wrong_clock_unit_or_type_does_not_pass(says: str) -> None:
+    with pytest.raises(ContractError, match=says):
+        check_driver(lambda: driver_of(SOURCES[says]), timeout_s=1.0)
+
+
+def test_a_polled_driver_notes_timestamps_of_another_clock() -> None:
+    driver, queue = driver_of(lambda info: (time.time_ns(), pack_range(info, 0, 0.1))), ConversionQueue(64)
+    assert driver.notes() == []
+    driver.start(queue)
+    try:
+        (note,) = until(driver.notes, "a note")
+    finally:
+        driver.stop()
+    assert "ahead of CLOCK_MONOTONIC; the time of arrival is used instead" in note
+
+
+@pytest.mark.parametrize("error", [SystemExit(5), KeyboardInterrupt(), GeneratorExit()], ids=repr)
+def test_a_polled_driver_survives_any_exception_of_its_source(error: BaseException) -> None:
+    def measured(info: DriverInfo) -> tuple[int, int]:
+        if driver.connections == 1:
+            raise error
+        return time.monotonic_ns(), pack_range(info, 0, 0.1)
+
+    driver, queue = driver_of(measured), ConversionQueue(64)
+    driver.start(queue)
+    try:
+        until(lambda: any(type(error).__name__ in text for text in driver.faults()), "the fault")
+        until(lambda: len(queue) > 0 and driver.faults() == [], "distances")
+    finally:
+        driver.stop()

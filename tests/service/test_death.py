@@ -46,6 +46,8 @@ def test_a_killed_service_is_stale_after_the_configured_periods_and_demands_zero
         done = s.run("status", "--json")
         assert done.returncode == 1
         assert json.loads(done.stdout)["state"] == "stale"
+        first = s.run("status").stdout.splitlines()[0]
+        assert first.endswith("; the lines below are what it published last")
 
 
 def test_clients_follow_a_killed_and_restarted_service_by_themselves(make_service: Make) -> None:

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from running_service import POSE, STANDOFF_M, Service, drive, until
+from running_service import (
+    POSE,
+    STANDOFF_M,
+    Service,
+    World,
+    config_text,
+    drive,
+    unique_name,
+    until,
+)
 from surffollow.client import STALE, Client, Demand
 from surffollow.client.demand import VALID
 from surffollow.shm.layout_follow import (
@@ -167,3 +177,16 @@ def test_dry_run_and_freeze_publish_no_demand_that_a_robot_could_heed(
     # WHEN it goes on, THEN demands are valid
     client.set_params(run="normal")
     drive(client, lambda: (d := client.dev_vector()).valid and d[2] > 1e-3, what="a demand")
+
+
+def test_a_simulated_sensor_works_under_the_longest_name(tmp_path: Path) -> None:
+    s = Service(tmp_path, config_text(kind="simulated"), name=unique_name().ljust(48, "x"))
+    s.world = world = World(s.name)
+    try:
+        s.start()
+        with s.attach() as client:
+            drive(client, lambda: client.dev_vector().valid, what="a valid demand")
+            assert client.status()["faults"] == []
+    finally:
+        s.purge()
+        world.close()

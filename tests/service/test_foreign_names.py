@@ -189,6 +189,20 @@ def test_a_squatted_lock_file_is_an_error_that_names_its_user(make_service: Make
 
 
 @needs_root
+def test_a_start_over_a_map_of_another_user_gives_a_remedy_that_works(make_service: Make) -> None:
+    s = make_service()
+    path = Path(f"/dev/shm/{s.name}.map")
+    path.write_bytes(bytes(4096))
+    os.chown(path, NOBODY, NOBODY)
+    with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0") as refused:
+        shared_objects.open_shared_objects(s.settings())
+    assert f"let user {NOBODY} or root remove it (rm {path}), or choose another name" in str(refused.value)
+    assert "SURFFOLLOW_OWNER" not in str(refused.value)
+    path.unlink()
+    shared_objects.open_shared_objects(s.settings()).leave()
+
+
+@needs_root
 def test_stop_ends_no_process_that_another_users_lock_file_names(make_service: Make) -> None:
     name = make_service().name
     path = Path(f"/dev/shm/{name}.lock")

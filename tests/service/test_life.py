@@ -81,8 +81,10 @@ def test_stop_ends_the_service_keeps_the_map_and_purge_removes_everything(make_s
     with s.attach() as client:
         client.map_reset(REGION)
     # WHEN it is stopped, THEN its map alone is left
-    assert s.run("stop").returncode == 0
     assert s.process is not None
+    done = s.run("stop", "--json")
+    assert json.loads(done.stdout) == {"name": s.name, "pid": s.pid, "purged": False}
+    assert done.returncode == 0
     assert s.process.wait(WAIT_S) == 0
     assert objects_of(s.name) == {f"{s.name}.map"}
     # WHEN it is stopped again, THEN there is no service
@@ -90,7 +92,8 @@ def test_stop_ends_the_service_keeps_the_map_and_purge_removes_everything(make_s
     assert again.returncode == 1
     assert "no service" in again.stderr
     # WHEN it is purged, THEN nothing is left
-    assert s.run("stop", "--purge").returncode == 0
+    done = s.run("stop", "--purge", "--json")
+    assert json.loads(done.stdout) == {"name": s.name, "pid": None, "purged": True}
     assert objects_of(s.name) == set()
     assert s.run("stop", "--purge").returncode == 1, "nothing is left to remove"
 

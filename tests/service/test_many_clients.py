@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -82,6 +83,32 @@ def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(
     until(lambda: client.status()["main"]["pose_pid"] == os.getpid(), "the second holds the pose")
 
 
+def test_after_a_refused_pose_further_calls_ask_nothing_for_a_while(
+    shared_service: Service, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    with shared_service.attach() as other:
+        client.ee_pos(POSE)
+        # GIVEN a client whose pose was refused, after a few questions
+        with pytest.raises(BusyError, match="release_pose") as first:
+            other.ee_pos(POSE)
+        own_request = other._request
+        monkeypatch.setattr(other, "_request", lambda *a, **k: asked.append(1) or own_request(*a, **k))
+        # WHEN it goes on within the time, THEN each call is refused with the same words and asks nothing
+        other._refused_until_ns = time.monotonic_ns() + 3600 * 10**9
+        for _ in range(100):
+            with pytest.raises(BusyError) as again:
+                other.ee_pos(POSE)
+            assert str(again.value) == str(first.value)
+        assert asked == []
+        # WHEN the time is over, or it claims the pose, THEN it asks again
+        other._refused_until_ns = 0
+        client.release_pose()
+        other.ee_pos(POSE)
+        assert asked
+    client.ee_pos(POSE)
+
+
 def test_the_pose_can_be_handed_over_in_good_order(shared_service: Service, client: Client) -> None:
     with shared_service.attach() as other:
         # GIVEN a client that sends the pose
@@ -91,6 +118,7 @@ def test_the_pose_can_be_handed_over_in_good_order(shared_service: Service, clie
             other.ee_pos(POSE)
         # WHEN the first gives it back, THEN the other one has it, and may be rid of it only itself
         client.release_pose()
+        other.claim_pose()
         other.ee_pos(POSE)
         with pytest.raises(RefusedError, match="does not hold"):
             client._request(lb.RQ_RELEASE_POSE).result()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -188,6 +189,22 @@ def test_named_causes_stop_and_cannot_be_reset_while_they_last(make_service: Mak
             until(lambda: expected <= causes_by_service(driver), "what the service stopped for by itself")
     finally:
         world.close()
+
+
+def test_a_service_waits_for_the_program_that_pushes_its_ranges_and_stops_when_it_ends(
+    make_service: Make,
+) -> None:
+    s = make_service(kind="external", driver="range_min_m = 0.05\nrange_max_m = 0.3\nsilence_s = 0.1")
+    s.config.write_text(s.config.read_text() + '[stop]\non = ["driver"]\n')
+    s.start()
+    with s.attach() as client:
+        # GIVEN a service that stops for its driver, and no program that pushes yet, THEN it is not stopped
+        until(lambda: "no client pushes its ranges" in client.status()["main"]["text"], "the note")
+        s.cycles(300)
+        assert client.status()["stopped"] == client.status()["faults"] == []
+        # WHEN one has pushed and pushes no more, THEN it is stopped
+        client.push_range(0, time.monotonic_ns(), 0.1)
+        until(lambda: "driver" in client.status()["stopped"], "the stop")
 
 
 def causes_by_service(client: Client) -> set[str]:

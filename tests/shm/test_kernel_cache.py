@@ -111,14 +111,19 @@ def test_another_version_of_numpy_compiles_anew(tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_folder_that_cannot_be_made_or_a_full_disk_costs_the_entry_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
+    monkeypatch.setattr(kernel_cache, "cache_directory", lambda: str(tmp_path))
     with monkeypatch.context() as patch:
         patch.setattr(kernel_cache.os, "replace", full)
         cache(tmp_path).save("part", "int64", b"code")
+        cache(tmp_path).save("part", "float64", b"code")
+    said = capsys.readouterr().err
+    assert f"cannot be kept in {tmp_path} (No space left on device)" in said
+    assert said.count("\n") == 1, "said once"
     assert cache(tmp_path).load("part", "int64") is None
     assert os.listdir(tmp_path) == []
     (tmp_path / "file").touch()

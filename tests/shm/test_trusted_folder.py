@@ -46,6 +46,21 @@ def test_a_folder_of_ones_own_is_made_private_and_kept(
     assert capsys.readouterr().err == ""
 
 
+def test_a_folder_that_cannot_be_written_is_named_with_a_remedy_that_is_not_there_yet(
+    only: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    only.parent.mkdir()
+    only.write_text("")  # a plain file stands there
+    taken()
+    said = capsys.readouterr().err
+    assert f"{only}/surffollow cannot be made" in said
+    assert "let SURFFOLLOW_CACHE_DIR name a folder that this user can write" in said
+    monkeypatch.delenv("SURFFOLLOW_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(only))
+    taken()
+    assert "name a folder of your own: SURFFOLLOW_CACHE_DIR" in capsys.readouterr().err
+
+
 @needs_root
 @pytest.mark.parametrize("which", ["surffollow", ".", ".."])
 def test_a_cache_folder_that_somebody_else_made_is_passed_over(

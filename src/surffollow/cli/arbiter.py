@@ -46,13 +46,22 @@ def start_command(config_path: str, name: str | None, quiet: bool) -> None:
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def status_command(name: str, wait_s: float, as_json: bool) -> None:
-    """Show who holds what, who is attached, what was denied and how long clients waited."""
-    from surffollow.units import format_ns
+    """Show who holds what, who is attached, what was denied and how long clients waited.
 
+    Exit code 1 when it does not run.
+    """
     status = _status_in(name, wait_s)
     if as_json:
         print(json.dumps(status, indent=2))
-        return
+    else:
+        _print_status(name, status)
+    if not status["alive"]:
+        sys.exit(1)
+
+
+def _print_status(name: str, status: dict[str, Any]) -> None:
+    from surffollow.units import format_ns
+
     running = "runs" if status["alive"] else "does not run (its last board)"
     print(f"arbiter {name} {running}, pid {status['pid']}, epoch {status['epoch']}")
     for resource, s in status["resources"].items():

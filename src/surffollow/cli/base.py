@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from surffollow.cli.json_values import without_nan
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 CLIENTS = ("avoid", "follow-wall", "follow-wall-2", "go")
@@ -134,15 +135,6 @@ def wall_follow_command(
     said = {"experiment": experiment, "runs": runs, "median": median}
     text = f"experiment {experiment}, median of {len(runs)}: {line_of(median)}"
     print(json.dumps(without_nan(said)) if as_json else text)
-
-
-def without_nan(value: Any) -> Any:
-    """The same with None for NaN, which JSON does not know."""
-    if isinstance(value, dict):
-        return {k: without_nan(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [without_nan(v) for v in value]
-    return None if isinstance(value, float) and value != value else value
 
 
 def median_of(runs: list[dict[str, Any]]) -> dict[str, float]:

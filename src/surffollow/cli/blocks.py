@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.cli.json_values import without_nan
 from surffollow.cli.old_names import old_name
 from surffollow.cli.option_types import Finite
 
@@ -77,7 +78,8 @@ def show_command(block: str, as_json: bool) -> None:
             {"name": n, "type": f.code, "count": f.count, "unit": f.unit, "doc": f.doc}
             for n, _, f in attached.schema.walk()
         ]
-        print(json.dumps({**about, "stale": snapshot.stale, "values": values, "fields": fields}, indent=2))
+        said = {**about, "stale": snapshot.stale, "values": without_nan(values), "fields": fields}
+        print(json.dumps(said, indent=2))
         return
     age = _age(about["age_s"])
     print(f"{about['name']}: {about['schema']} {about['hash']}, {about['bytes']} bytes")
@@ -146,7 +148,7 @@ def _watch(attached: AttachedBlock, as_json: bool, every: float, count: int, dea
             values = snapshot.values.as_dict()
             if as_json:
                 line = {"generation": this[1], "epoch": this[0], "t_ns": snapshot.t_ns, "values": values}
-                print(json.dumps(line), flush=True)
+                print(json.dumps(without_nan(line)), flush=True)
             else:
                 text = ", ".join(f"{k}={_flat(v)}" for k, v in values.items())
                 print(f"{this[1]:>8}  {text}", flush=True)

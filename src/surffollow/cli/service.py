@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import time
 
 import click
 
+from surffollow.cli.entry import ended_at_once_by_interrupts
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 
@@ -26,29 +28,32 @@ from surffollow.cli.option_types import SERVICE_NAME, Finite
 )
 def start_command(config_path: str | None, name: str | None, quiet: bool, strict: bool) -> None:
     """Run the service in the foreground: prints READY when robots may attach, ends on SIGTERM or Ctrl-C."""
-    from surffollow.service.messages import hold_standard_files
+    with ended_at_once_by_interrupts():
+        from surffollow.service.messages import hold_standard_files
 
-    hold_standard_files()
-    import msgspec
+        hold_standard_files()
+        import msgspec
 
-    from surffollow.config.names import check_service_name
-    from surffollow.config.service import ServiceConfig, load_config
-    from surffollow.errors import ConfigError
-    from surffollow.shm.trusted_folder import check_numba_settings
+        from surffollow.config.names import check_service_name
+        from surffollow.config.service import ServiceConfig, load_config
+        from surffollow.errors import ConfigError
+        from surffollow.shm.trusted_folder import check_numba_settings
 
-    config = load_config(config_path) if config_path else ServiceConfig()
-    if name is not None:
-        config = msgspec.structs.replace(config, name=name)
-    if strict:
-        config = msgspec.structs.replace(
-            config, realtime=msgspec.structs.replace(config.realtime, strict=True)
-        )
-    check_service_name(config.name)
-    check_numba_settings()
-    from surffollow.service.daemon import serve
+        config = load_config(config_path) if config_path else ServiceConfig()
+        if name is not None:
+            config = msgspec.structs.replace(config, name=name)
+        if strict:
+            config = msgspec.structs.replace(
+                config, realtime=msgspec.structs.replace(config.realtime, strict=True)
+            )
+        check_service_name(config.name)
+        check_numba_settings()
+        from surffollow.service.daemon import serve
 
     try:
         serve(config, quiet)
+    except KeyboardInterrupt:  # before the service had objects to tidy up
+        sys.exit(130)
     except ConfigError as error:
         if config_path is None or str(error).startswith(config_path):
             raise
@@ -61,13 +66,14 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 @click.option(
     "--timeout", type=Finite(min=0.0), default=10.0, show_default=True, help="Seconds to wait for its end."
 )
-def stop_command(name: str, purge: bool, timeout: float) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
     """End a service in good order; its map is kept for the next start unless --purge is given."""
     from surffollow.config.trusted_users import trusted_owners
     from surffollow.errors import NotRunningError, ServiceError
     from surffollow.shm.name_lock import holder, lock_owner
 
-    pid = running_pid(name)
+    pid, purged = running_pid(name), False
     if pid:
         try:
             ask_to_end(pid, name)
@@ -93,6 +99,10 @@ def stop_command(name: str, purge: bool, timeout: float) -> None:
         )
     elif not pid:
         raise NotRunningError(f"no service {name!r} is running")
+    if as_json:
+        import json
+
+        print(json.dumps({"name": name, "pid": pid or None, "purged": purged}))
 
 
 def ask_to_end(pid: int, name: str) -> None:

@@ -9,18 +9,38 @@ from typing import Any
 
 import click
 
-from surffollow.cli.option_types import SERVICE_NAME
+from surffollow.cli.option_types import SERVICE_NAME, Finite
+
+STARTING = 3  # exit code
 
 
 @click.command("status")
 @click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Name of the service.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--audit", is_flag=True, help="Who changed or tried to change what, oldest first.")
-def status_command(name: str, as_json: bool, audit: bool) -> None:
-    """Say how a service is doing: health, cycles, lateness, clients, map."""
+@click.option(
+    "--wait",
+    "wait_s",
+    type=Finite(min=0.0),
+    default=0.0,
+    help="Wait up to so many seconds until it is ready.",
+)
+def status_command(name: str, as_json: bool, audit: bool, wait_s: float) -> None:
+    """Say how a service is doing: health, cycles, lateness, clients, map.
+
+    Exit codes: 0 it runs; 1 it does not; 3 it starts, with the state "starting" or "compiling".
+    """
     from surffollow.client import observe
     from surffollow.errors import NotRunningError
 
+    starting = _start_within(name, wait_s)
+    if starting is not None:
+        if as_json:
+            print(json.dumps(starting, indent=2))
+        else:
+            progress = starting["main"]["text"] or "its objects are being made"
+            print(f"service {name}: {starting['state']}, pid {starting['pid']}\nnote     {progress}")
+        sys.exit(STARTING)
     with observe(name) as watcher:
         status = watcher.status()
         with contextlib.suppress(NotRunningError):  # nothing is in force there any more
@@ -39,6 +59,27 @@ def status_command(name: str, as_json: bool, audit: bool) -> None:
         print(render(status))
     if not status["alive"]:
         sys.exit(1)
+
+
+def _start_within(name: str, wait_s: float) -> dict[str, Any] | None:
+    """The status of a service that still starts after so long [s]; None: it is ready, or it ended."""
+    import time
+
+    from surffollow.client.board import start_report
+    from surffollow.config.trusted_users import trusted_owners
+    from surffollow.errors import NotRunningError
+
+    end = time.monotonic() + wait_s
+    while True:
+        late = time.monotonic() >= end
+        try:
+            report = start_report(name, trusted_owners())
+            if report is None or late:
+                return report
+        except NotRunningError:
+            if late:
+                raise
+        time.sleep(0.05)
 
 
 def audit_lines(status: dict[str, Any]) -> list[str]:
@@ -116,6 +157,8 @@ def render(s: dict[str, Any]) -> str:
         f"map      {map_text(s['name'], s['map'])}",
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
+    if not s["alive"]:
+        lines[0] += "; the lines below are what it published last"
     # behind the line of clients, and behind that of poses
     lines[7:7] = [
         f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}" for c in s["clients"]

@@ -134,6 +134,61 @@ class _Wait:
         )
 
 
+def _start_text(board: SharedObject, h: dict[str, Any]) -> str | None:
+    """How far the start is of a service that is not ready; empty: it says nothing yet; None: it does not run.
+
+    Parameters
+    ----------
+    board : SharedObject   not ready
+    h : dict               its header
+    """
+    known = h["magic"] == BOARD_MAGIC and h["layout_hash"] == LAYOUT_HASH
+    if not (known and board.is_current() and is_running(int(h["pid"]), int(h["start_ticks"]))):
+        return None
+    at = {r["name"]: r["offset"] for r in h["region"]}.get("ticker")
+    if at is None:
+        return ""
+    words = memoryview(board.memory).cast("Q")
+    main_thread = LatchReader(words, board.memory, at, MainThreadState).read()
+    return "" if main_thread is None else str(main_thread["text"])
+
+
+def start_report(name: str, owners: Collection[int] = ()) -> dict[str, Any] | None:
+    """Status of a service that starts and is not ready; None: it is ready, it ended, or it cannot be read.
+
+    Parameters
+    ----------
+    name : str
+        of the service
+    owners : collection of int
+        whose it may be (empty: any user)
+
+    Returns
+    -------
+    dict or None
+        name, state ("starting", then "compiling"), alive (False: no demand is published yet), pid, epoch,
+        and main with the progress as text
+
+    Raises
+    ------
+    NotRunningError, NoPermissionError
+        from opening its board
+    """
+    board = SharedObject.open(name, owners=owners)
+    try:
+        if board.size < BoardHeader.SIZE:
+            return None
+        h = unpack_schema(BoardHeader, board.memory)
+        text = _start_text(board, h) if h["state"] < STATE_READY else None
+    finally:
+        board.close()
+    if text is None:
+        return None
+    state = "compiling" if text else "starting"
+    known = {"pid": h["pid"], "epoch": h["epoch"], "main": {"text": text}}
+    return {"name": name, "state": state, "alive": False, **known}
+
+
 class Board:
     """A service's board, mapped read-only and checked; `owners`: whose it may be (empty: any user).
 
@@ -171,7 +226,7 @@ class Board:
                 fence()
                 h = unpack_schema(BoardHeader, memory)  # whole: `state` is stored last
                 break
-            wait.once_more(self._compiling(h))
+            wait.once_more(_start_text(self.object, h) or "")
         if h["version"] != LAYOUT_VERSION or h["layout_hash"] != LAYOUT_HASH:
             raise LayoutMismatchError(
                 f"block {name!r} has layout {h['layout_hash']:016x} (version {h['version']}), this client "
@@ -180,18 +235,6 @@ class Board:
             )
         if h["size"] > self.object.size:
             raise BlockError(f"block {name!r} is shorter than its header says; restart the service")
-
-    def _compiling(self, h: dict[str, Any]) -> str:
-        """How far a service is that compiles its kernels; empty: it does not, or it has ended."""
-        known = h["magic"] == BOARD_MAGIC and h["layout_hash"] == LAYOUT_HASH
-        if not (known and self.object.is_current() and is_running(int(h["pid"]), int(h["start_ticks"]))):
-            return ""
-        at = {r["name"]: r["offset"] for r in h["region"]}.get("ticker")
-        if at is None:
-            return ""
-        words = memoryview(self.object.memory).cast("Q")
-        main_thread = LatchReader(words, self.object.memory, at, MainThreadState).read()
-        return "" if main_thread is None else str(main_thread["text"])
 
     def header(self) -> dict[str, Any]:
         """The header, as a dictionary."""

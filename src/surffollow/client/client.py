@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _POST = lb.PosePost.struct_of("t_ns", "pose")
 _POSE_STRIDE = stride(lb.PosePost.SIZE)
 _MAX_SIZE2 = MAX_POSITION_M**2
+REFUSED_NS = 1_000_000_000  # so long `ee_pos` takes a refusal for the answer, without asking again
 
 
 class Client(ServiceRequests):
@@ -40,6 +41,7 @@ class Client(ServiceRequests):
     """
 
     _tool: SimulatedTool | None = None
+    _refusal, _refused_until_ns = "", 0  # of the pose
 
     # -- poses ------------------------------------------------------------------------------------
 
@@ -59,15 +61,17 @@ class Client(ServiceRequests):
             (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
             with a timestamp more than 1 ms ahead or older than `pose_timeout_ns`
         BusyError
-            another live client sends the pose; its process is named
+            another live client sends the pose; its process is named. Calls within 1 s of that are refused
+            at once, without asking the service; `claim_pose` asks it
         NotRunningError
             the service ended, or the pose is being claimed anew of one that was started again:
             call again, poses go on a few calls later
 
         Notes
         -----
-        The first call of an attachment waits for the pose (`claim_pose` does that beforehand). No later one
-        waits, in any state of the service or its socket.
+        The first call of an attachment waits for the pose (`claim_pose` does that beforehand), 0.3 s where
+        another client has it. No call waits that follows one which had the pose, in any state of the service
+        or its socket.
 
         Examples
         --------
@@ -102,6 +106,8 @@ class Client(ServiceRequests):
         if not self._pose_held:
             if POSE in self._had:
                 self._claim_pose_again()
+            elif now < self._refused_until_ns:
+                raise BusyError(self._refusal)
             else:
                 self._claim_pose()
         words, memory, index, base = self._pose_view
@@ -126,7 +132,9 @@ class Client(ServiceRequests):
             except RefusedError as e:
                 # the service looks for dead holders at its own pace: give it a few
                 if e.code != lb.ERR_POSE_HELD or time.monotonic() > deadline:
-                    raise _held(e) from None
+                    held = _held(e)
+                    self._refusal, self._refused_until_ns = str(held), time.monotonic_ns() + REFUSED_NS
+                    raise held from None
                 time.sleep(CLAIM_PAUSE_S)
 
     def _slot_stall_s(self) -> float:

@@ -25,6 +25,7 @@ from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.conversion import (
     COUNTS_MAX,
     FLAG_INVALID,
+    FLAG_OUTSIDE,
     ITEM_WORDS,
     conversion_channel,
     conversion_counts,
@@ -70,6 +71,8 @@ def linearize(relay: Any, indicated: Any, range_m: Any, word: Any) -> Any:
     """
     r = relay[0]
     channel, flags = conversion_channel(word), conversion_flags(word)
+    if flags & FLAG_OUTSIDE != 0:
+        return word
     value = r.zero[channel] + r.scale[channel] * conversion_counts(word)
     n = r.rows[channel]
     if n > 0:

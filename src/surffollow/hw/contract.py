@@ -18,11 +18,22 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surffollow.errors import DriverError, SurffollowError
 from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo
-from surffollow.shm.conversion import conversion_channel, conversion_dt_ns
+from surffollow.hw.ranges import AHEAD_NS
+from surffollow.shm.conversion import (
+    FLAG_INVALID,
+    FLAG_OUTSIDE,
+    OUTSIDE_M,
+    conversion_channel,
+    conversion_counts,
+    conversion_dt_ns,
+    conversion_flags,
+)
 from surffollow.shm.layout_follow import CHANNELS
+from surffollow.units import format_ns
 
 OLDEST_NS = 2_000_000_000  # a conversion handed over after a start may be that much older than the start
 STOP_S = 5.0
@@ -64,12 +75,27 @@ def check_description(driver: Driver) -> None:
     _demand(driver.info == info, "info changed from one look to the next")
 
 
-def check_items(driver: Driver, queue: ConversionQueue, started_ns: int) -> None:
-    """Times ascend and are past; channels are its own; the time part of a word is 0."""
-    items, now_ns = queue.drain(), time.monotonic_ns()
-    t_ns = items[:, 0]
+def check_items(driver: Driver, queue: ConversionQueue, items: NDArray[np.int64], started_ns: int) -> None:
+    """Times ascend and are past; channels are its own; the time part of a word is 0.
+
+    Parameters
+    ----------
+    driver : Driver
+    queue : ConversionQueue
+        that it filled
+    items : (n, 2) int64
+        what was drained of it
+    started_ns : int
+        when the driver was started [ns]
+    """
+    t_ns, now_ns = items[:, 0], time.monotonic_ns()
     _demand(bool((np.diff(t_ns) >= 0).all()), "timestamps go back")
     _demand(bool((t_ns <= now_ns).all()), "a timestamp lies ahead; use CLOCK_MONOTONIC (time.monotonic_ns)")
+    _demand(
+        queue.ahead_ns <= AHEAD_NS,
+        f"timestamps lie ahead of CLOCK_MONOTONIC, by up to {format_ns(queue.ahead_ns)}; use "
+        "time.monotonic_ns()",
+    )
     _demand(
         bool((t_ns >= started_ns - OLDEST_NS).all()),
         f"a timestamp is older than the start by more than {OLDEST_NS * 1e-9:g} s; use CLOCK_MONOTONIC",
@@ -78,6 +104,40 @@ def check_items(driver: Driver, queue: ConversionQueue, started_ns: int) -> None
         channel = conversion_channel(word)
         _demand(channel < driver.info.n_channels, f"channel {channel} of {driver.info.n_channels}")
         _demand(conversion_dt_ns(word) == 0, "bits 32-63 of a queued word must be 0")
+
+
+def _distance_m(info: DriverInfo, word: int) -> float:
+    """The distance of a conversion [m]; NaN: the sensor sees nothing."""
+    counts, flags, channel = conversion_counts(word), conversion_flags(word), conversion_channel(word)
+    if flags & FLAG_OUTSIDE:
+        return OUTSIDE_M * float(counts)
+    return np.nan if flags & FLAG_INVALID else info.zero_m[channel] + info.scale_m[channel] * float(counts)
+
+
+def _await_distance(driver: Driver, queue: ConversionQueue, timeout_s: float) -> NDArray[np.int64]:
+    """Take a driver's conversions until there are five, and one of them is a distance inside the window."""
+    info, items, inside, last_m = driver.info, [], 0, np.nan
+
+    def delivered() -> bool:
+        nonlocal inside, last_m
+        for t_ns, word in queue.drain().tolist():
+            items.append((t_ns, word))
+            last_m = _distance_m(info, word)
+            inside += info.range_min_m < last_m < info.range_max_m
+        return len(items) >= 5 and inside > 0
+
+    try:
+        _wait(delivered, timeout_s, "")
+    except ContractError:
+        if len(items) < 5:
+            faults = "".join(f"; {text}" for text in driver.faults())
+            raise ContractError(f"no five conversions within {timeout_s:g} s{faults}") from None
+        last = f"the last one is {last_m:.6g} m; is the unit metres?"
+        raise ContractError(
+            f"no distance was inside the window {info.range_min_m:g} to {info.range_max_m:g} m: "
+            + ("the sensor sees nothing; give it a target" if np.isnan(last_m) else last)
+        ) from None
+    return np.array(items, np.int64)
 
 
 def check_faults(driver: Driver) -> None:
@@ -127,8 +187,7 @@ def check_driver(make: Callable[[], Driver], *, delivers: bool = True, timeout_s
         queue, started_ns, before = ConversionQueue(), time.monotonic_ns(), threading.active_count()
         driver.start(queue)
         try:
-            if delivers:
-                _wait(lambda q=queue: len(q) >= 5, timeout_s, "no five conversions")  # type: ignore[misc]
+            items = _await_distance(driver, queue, timeout_s) if delivers else queue.drain()
             try:
                 driver.start(queue)
             except DriverError:
@@ -138,7 +197,7 @@ def check_driver(make: Callable[[], Driver], *, delivers: bool = True, timeout_s
             check_faults(driver)
         finally:
             _stop(driver)
-        check_items(driver, queue, started_ns)
+        check_items(driver, queue, np.concatenate((items, queue.drain())), started_ns)
         time.sleep(QUIET_S)
         _demand(len(queue) == 0, f"{len(queue)} conversions were pushed after stop() had returned")
         _demand(threading.active_count() <= before, "a thread is left after stop()")

@@ -104,6 +104,7 @@ class ConversionQueue:
     ----------
     address : int, of the ring, for `shm.ring`'s kernels
     lost_address : int, of the count of conversions that found no room
+    ahead_ns : int, how far a time given to a `RangeWriter` lay ahead of CLOCK_MONOTONIC at most [ns]
 
     Examples
     --------
@@ -117,7 +118,7 @@ class ConversionQueue:
     """
 
     def __init__(self, capacity: int = 16384) -> None:
-        self.capacity = capacity
+        self.capacity, self.ahead_ns = capacity, 0
         self._ring = make_ring(capacity, ITEM_WORDS)
         self._lost = np.zeros(1, np.int64)
         self._item = np.zeros(ITEM_WORDS, np.int64)

@@ -46,8 +46,8 @@ class ExternalConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     channels : 1 to 8
-    range_min_m, range_max_m, latency_s, mounts, silence_s : see `RangeSettings`; only a channel that is held
-        can be silent
+    range_min_m, range_max_m, latency_s, mounts, silence_s : see `RangeSettings`; a channel's silence is a
+        fault from its first range on
     """
 
     channels: int = 1
@@ -103,11 +103,12 @@ class ExternalDriver:
         self._queue = None
 
     def faults(self) -> list[str]:
-        """Channels without ranges, and ranges that counted for nothing in the last two seconds."""
+        """Channels whose ranges ended, and ranges that counted for nothing in the last two seconds."""
         if self._queue is None:
             return ["pushed ranges are not taken: the driver is not started"]
         now_ns = time.monotonic_ns()
-        found = [text for c in range(self._info.n_channels) if (text := self._silence(c, now_ns))]
+        found = [self._silence(c, now_ns) for c in range(self._info.n_channels) if self._has_begun(c)]
+        found = [text for text in found if text]
         for k, text in enumerate((*_REASONS.values(), "")):
             count = self._word("refused", k) if text else self._word("skipped")
             if count > self._counts[k]:
@@ -117,6 +118,15 @@ class ExternalDriver:
             said = f"refused, {text}" if text else "left out: they come faster than the cycle takes them"
             found.append(f"{count} pushed ranges were {said}")
         return found
+
+    def notes(self) -> list[str]:
+        """Channels that have had no range yet: no fault, for a service starts before its sensor's program."""
+        now_ns = time.monotonic_ns()
+        found = [self._silence(c, now_ns) for c in range(self._info.n_channels) if not self._has_begun(c)]
+        return [text for text in found if text]
+
+    def _has_begun(self, channel: int) -> bool:
+        return self._word("received_ns", channel) != 0
 
     def _silence(self, channel: int, now_ns: int) -> str:
         since_ns = self._word("claimed_ns", channel)

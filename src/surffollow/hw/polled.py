@@ -13,17 +13,21 @@ from surffollow.errors import DriverError
 from surffollow.hw.driver import ConversionQueue, DriverInfo
 from surffollow.hw.driver_thread import FIFO_PRIORITY, JOIN_S
 from surffollow.hw.range_settings import SILENCE_S
-from surffollow.hw.ranges import RangeWriter
+from surffollow.hw.ranges import AHEAD_NS, RangeWriter
 from surffollow.units import format_ns
 
 POLL_S = 0.05  # how long a read may wait, and `stop` for it
 RETRY_S = 0.2
+REJECTION = "check baud rate, format and checksum"  # unless the source has an attribute `rejection`
 # the states of a polled driver
 STOPPED, WAITING, SILENT, GARBLED, RUNNING = "stopped", "waiting", "silent", "garbled", "running"
 
 
 class Source(Protocol):
-    """Input of a polled driver: a device or a stream."""
+    """Input of a polled driver: a device or a stream.
+
+    An attribute `rejection`, if it has one, is the remedy for the input rejected last: "check the format".
+    """
 
     @property
     def name(self) -> str:
@@ -96,6 +100,7 @@ class PolledDriver:
         self._silence_ns = round(silence_s * 1e9)
         self._thread: threading.Thread | None = None
         self._end = threading.Event()
+        self._queue: ConversionQueue | None = None
         self._fault = ""
         self._connected = False
         self._received_ns = self._read_ns = 0
@@ -130,7 +135,7 @@ class PolledDriver:
             raise DriverError(f"driver '{self._source.name}' was started twice; stop it first")
         self._end.clear()
         self._fault, self._received_ns = "", time.monotonic_ns()
-        writer = RangeWriter(queue, self._info)
+        self._queue, writer = queue, RangeWriter(queue, self._info)
         self._thread = threading.Thread(target=self._run, args=(writer,), name="sensor", daemon=True)
         self._thread.start()
         if self._thread.native_id is not None:
@@ -158,10 +163,20 @@ class PolledDriver:
             if state == SILENT:
                 return [f"{name}: connected, but nothing was received for {since}"]
             return [
-                f"{name}: what arrives is no measurement ({self._source.rejected} pieces rejected, the last "
-                f"good one {since} ago); check baud rate, format and checksum"
+                f"{name}: what arrives is not taken ({self._source.rejected} pieces rejected, the last good "
+                f"one {since} ago); {getattr(self._source, 'rejection', REJECTION)}"
             ]
         return []
+
+    def notes(self) -> list[str]:
+        """Timestamps of another clock, which count as the time of their arrival."""
+        ahead_ns = 0 if self._queue is None else self._queue.ahead_ns
+        if ahead_ns <= AHEAD_NS:
+            return []
+        return [
+            f"{self._source.name}: timestamps lie up to {format_ns(ahead_ns)} ahead of CLOCK_MONOTONIC; the "
+            "time of arrival is used instead; give time.monotonic_ns()"
+        ]
 
     def _run(self, writer: RangeWriter) -> None:
         while not self._end.is_set():
@@ -172,10 +187,10 @@ class PolledDriver:
                 self.connections += 1
                 self._fault = ""
                 self._read(writer)
-            except Exception as error:  # any exception of a device or its library: it is tried again
+            except BaseException as error:  # also SystemExit of a device's library: it is tried again
                 self._fault = _text(error)
             self._connected = False
-            with contextlib.suppress(Exception):
+            with contextlib.suppress(BaseException):
                 self._source.close()
             self._end.wait(RETRY_S)
 
@@ -188,7 +203,9 @@ class PolledDriver:
                 self._rejected_before = self._source.rejected
 
 
-def _text(error: Exception) -> str:
+def _text(error: BaseException) -> str:
+    if not isinstance(error, Exception):
+        return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror} ({error.filename})" if error.filename else error.strerror
     return str(error) or type(error).__name__

@@ -6,13 +6,21 @@ by `at_most` items, for any content of the ring.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo, push_conversion
 from surffollow.shm import atomics as at
-from surffollow.shm.conversion import COUNTS_MAX, FLAG_INVALID, ITEM_WORDS, pack_conversion
+from surffollow.shm.conversion import (
+    COUNTS_MAX,
+    FLAG_INVALID,
+    FLAG_OUTSIDE,
+    ITEM_WORDS,
+    OUTSIDE_M,
+    pack_conversion,
+)
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import RANGE_ITEMS, RANGES_AT, RangeItem
@@ -124,6 +132,9 @@ def _take_item(pushed: Any, queue: Any, item: Any, number: Any, held: Any, now_n
     expected = range_m / p.scale_m[channel]
     if abs(expected) <= COUNTS_MAX:  # NaN is not, and says that there is no reading
         counts, flags = round(expected), 0
+    elif abs(range_m) < math.inf:
+        counts = round(max(-COUNTS_MAX, min(range_m / OUTSIDE_M, COUNTS_MAX)))
+        flags = FLAG_INVALID | FLAG_OUTSIDE
     word = pack_conversion(counts, channel, flags, 0)
     at.store_relaxed_i64(base + _NEWEST + 8 * channel, t_ns)
     at.store_relaxed_i64(base + _RECEIVED + 8 * channel, now_ns)

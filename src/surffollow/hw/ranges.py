@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import operator
 import time
 
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight, Mount, mounts_of
-from surffollow.shm.conversion import COUNTS_MAX, FLAG_INVALID
+from surffollow.shm.conversion import COUNTS_MAX, FLAG_INVALID, FLAG_OUTSIDE, OUTSIDE_M
 from surffollow.shm.layout_follow import CHANNELS
 
+AHEAD_NS = 2_000_000  # farther ahead than clocks read on two processors differ: a wrong clock
 FINEST_M = 1e-6  # one count, where 24 bits hold the window: up to 8.3 m
 
 
@@ -78,12 +80,12 @@ def pack_range(info: DriverInfo, channel: int, range_m: float | None) -> int:
     ----------
     info : the driver's own description
     channel : 0 to n_channels − 1
-    range_m : distance [m]; None or NaN: the sensor sees nothing
+    range_m : distance [m]; None, NaN or infinity: the sensor sees nothing
 
     Returns
     -------
     int
-        packed conversion
+        packed conversion; of a distance beyond what counts hold: no measurement, with its value for messages
 
     Examples
     --------
@@ -97,7 +99,11 @@ def pack_range(info: DriverInfo, channel: int, range_m: float | None) -> int:
     """
     if range_m is None or not math.isfinite(range_m):
         return pack_counts(None, channel)
-    return pack_counts(round((range_m - info.zero_m[channel]) / info.scale_m[channel]), channel)
+    counts = round((range_m - info.zero_m[channel]) / info.scale_m[channel])
+    if -COUNTS_MAX <= counts <= COUNTS_MAX:
+        return pack_counts(counts, channel)
+    coarse = round(max(-COUNTS_MAX, min(range_m / OUTSIDE_M, COUNTS_MAX)))
+    return (FLAG_INVALID | FLAG_OUTSIDE) << 27 | (channel & 7) << 24 | coarse & 0xFFFFFF
 
 
 class RangeWriter:
@@ -142,6 +148,22 @@ class RangeWriter:
         ----------
         t_ns, word : int
             as for `ConversionQueue.push`
+
+        Raises
+        ------
+        DriverError
+            one of them is no whole number
         """
-        self._last_ns = t_ns = max(self._last_ns, min(t_ns, time.monotonic_ns()))
+        try:
+            t_ns, word = operator.index(t_ns), operator.index(word)
+        except TypeError:
+            raise DriverError(
+                f"a conversion is (time [ns], packed word), two whole numbers, not ({t_ns!r}, {word!r}); "
+                "use time.monotonic_ns() and pack_range()"
+            ) from None
+        now_ns = time.monotonic_ns()
+        if t_ns > now_ns:
+            self._queue.ahead_ns = max(self._queue.ahead_ns, t_ns - now_ns)
+            t_ns = now_ns
+        self._last_ns = t_ns = max(self._last_ns, t_ns)
         self._queue.push(t_ns, word)

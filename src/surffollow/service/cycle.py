@@ -13,6 +13,7 @@ from surffollow.service.range_inputs import any_held, drain_ranges
 from surffollow.service.requests import process_requests
 from surffollow.service.slot_inputs import POSE_BAD, POSE_OK, POSE_TORN, read_pose
 from surffollow.service.stop_latch import keep_stop
+from surffollow.service.window_watch import watch_window
 from surffollow.shm import atomics as at
 from surffollow.shm import journal
 from surffollow.shm.clock import now_ns, wait_until_ns
@@ -150,6 +151,7 @@ def take_inputs(mem: Any, t_ns: Any) -> None:
     if any_held(ctx):
         drain_ranges(mem, t_ns)
     drain_conversions(mem, t_ns)
+    watch_window(mem)
     mem.inputs[0].t_ns = t_ns
     fill_preview(mem)
 

@@ -289,8 +289,17 @@ class Daemon:
 def serve(config: ServiceConfig, quiet: bool = False) -> None:
     """Run a service in the foreground until SIGTERM or SIGINT."""
     messages = Messages().start()
+    interrupted: list[int] = []
+
+    def interrupt(number: int, _: object) -> None:
+        interrupted.append(number)
+        raise KeyboardInterrupt
+
     try:
+        signal.signal(signal.SIGINT, interrupt)
         daemon = Daemon(config, quiet, messages)
+        if interrupted:  # and a callback, of the compiler or a driver's library, swallowed the exception
+            daemon.stop()
 
         def ready() -> None:
             refused = "; ".join(daemon.grants.refused)

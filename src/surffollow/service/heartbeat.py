@@ -15,6 +15,7 @@ from surffollow.service.messages import Messages
 from surffollow.service.realtime import Grants
 from surffollow.service.shared_objects import SharedObjects
 from surffollow.service.slot_server import SlotServer
+from surffollow.service.window_watch import window_notes
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
@@ -76,7 +77,8 @@ class Heartbeat:
         causes = STOP_DRIVER if driver_faults else 0
         store_release(self._ctx.ctypes.data + 8 * m.STOP_ASKED, causes)
         self.guard.run("the audit trail", self._audit.publish, None)
-        texts = [*driver_faults, *self._watch.notes(), *self._grants.refused, *self.guard.texts()]
+        notes = [*self._watch.notes(), *window_notes(self._ctx)]
+        texts = [*driver_faults, *notes, *self._grants.refused, *self.guard.texts()]
         if self._server.failures:
             faults |= FAULT_SLOTS
             texts.append(

@@ -77,7 +77,11 @@ RANGE_SLOT = RANGES_HELD + 1  # cycle → main: per channel, the slot of that cl
 RANGE_CLAIM = RANGE_SLOT + CHANNELS
 RANGE_SEEN = RANGE_CLAIM + CHANNELS  # per slot, head of its ring at the last look
 STOP_SEEN = RANGE_SEEN + CLIENTS  # per slot, its stop word at the last look; 0 when the slot is granted
-CTX_WORDS = STOP_SEEN + CLIENTS
+# cycle → main: per channel, distances outside the window since the last one inside, and the last one [µm]
+OUTSIDE = STOP_SEEN + CLIENTS
+OUTSIDE_UM = OUTSIDE + CHANNELS
+WINDOW_UM = OUTSIDE_UM + CHANNELS  # its two ends
+CTX_WORDS = WINDOW_UM + 2
 
 BY_ANY, BY_HOLDER, BY_HOLDER_ONLY = 0, 1, 2
 

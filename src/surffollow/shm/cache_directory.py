@@ -69,7 +69,7 @@ def cache_directory() -> str:
         return str(folder)
     raise ConfigError(
         "there is no folder for compiled kernels that only this user can change: "
-        f"{'; '.join(refused) or 'none can be made'}; name one of your own: SURFFOLLOW_CACHE_DIR"
+        f"{'; '.join(refused) or 'none can be made'}; {_remedy()}"
     )
 
 
@@ -90,5 +90,22 @@ def _say_refused(refused: list[str], instead: Path) -> None:
         with contextlib.suppress(OSError, ValueError, AttributeError):
             sys.stderr.write(
                 f"surffollow: no kernel cache of this user's own: {'; '.join(refused)}; {instead} is used; "
-                "name a folder of your own: SURFFOLLOW_CACHE_DIR\n"
+                f"{_remedy()}\n"
             )
+
+
+@cache
+def say_not_kept(folder: str, reason: str) -> None:
+    """Name, once, a folder in use that takes no more kernels."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        sys.stderr.write(
+            f"surffollow: compiled kernels cannot be kept in {folder} ({reason}): every start compiles them "
+            "again; make room there (0.1 GB), or name a folder with room: SURFFOLLOW_CACHE_DIR\n"
+        )
+
+
+def _remedy() -> str:
+    """The remedy where folders were passed over; that of the variable, which comes first, is one of them."""
+    if os.environ.get("SURFFOLLOW_CACHE_DIR"):
+        return "let SURFFOLLOW_CACHE_DIR name a folder that this user can write and no other one can change"
+    return "name a folder of your own: SURFFOLLOW_CACHE_DIR"

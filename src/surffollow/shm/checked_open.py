@@ -60,7 +60,8 @@ def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple
         if not stat.S_ISREG(status.st_mode):
             raise BlockError(_odd(path, kind_of(status.st_mode)))
         if owners and status.st_uid not in owners:
-            raise NoPermissionError(foreign(path.name, status.st_uid, owners))
+            writes = flags & os.O_ACCMODE != os.O_RDONLY
+            raise NoPermissionError((_not_own if writes else foreign)(path.name, status.st_uid, owners))
     except BaseException:
         os.close(fd)
         raise
@@ -68,12 +69,23 @@ def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple
 
 
 def foreign(name: str, found: int, owners: Collection[int]) -> str:
-    """Error text for an object of an untrusted user."""
+    """Error text for an object of an untrusted user, for one who reads it."""
+    return f"{_look_at(name, found, owners)}, or name the service's user (owner=, SURFFOLLOW_OWNER)"
+
+
+def _not_own(name: str, found: int, owners: Collection[int]) -> str:
+    """The same for one who writes it: a program writes objects of its own user only."""
+    return (
+        f"{_look_at(name, found, owners)}, let user {found} or root remove it (rm /dev/shm/{name}), "
+        "or choose another name (--name)"
+    )
+
+
+def _look_at(name: str, found: int, owners: Collection[int]) -> str:
     expected = " or ".join(str(u) for u in sorted(owners))
     return (
         f"shared-memory object {name!r} belongs to user {found}, expected user {expected}: another user may "
-        f"have made it; look at it (ls -ln /dev/shm/{name}), or name the service's user (owner=, "
-        "SURFFOLLOW_OWNER)"
+        f"have made it; look at it (ls -ln /dev/shm/{name})"
     )
 
 

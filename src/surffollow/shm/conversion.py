@@ -12,6 +12,9 @@ from typing import Any
 from surffollow.shm.jit import jit_pasted
 
 FLAG_INVALID = 1  # the driver knows that this is no measurement (out of view, over-range, NaN)
+# with FLAG_INVALID: a distance that counts cannot hold; its counts are multiples of OUTSIDE_M, for messages
+FLAG_OUTSIDE = 2
+OUTSIDE_M = 0.01
 COUNTS_MIN, COUNTS_MAX = -(1 << 23), (1 << 23) - 1
 # words of one item in a driver's queue: timestamp, conversion
 ITEM_WORDS = 2

@@ -27,7 +27,7 @@ import numpy as np
 from numba.core import config, serialize
 from numba.core.registry import cpu_target
 
-from surffollow.shm.cache_directory import cache_directory, make_private
+from surffollow.shm.cache_directory import cache_directory, make_private, say_not_kept
 from surffollow.shm.source_stamp import PACKAGE, path_in_package, source_stamp
 
 # settings of numba's that are compiled into a kernel; numba distinguishes processor and features itself
@@ -92,10 +92,10 @@ class KernelCache:
         return Path(self._folder, f"{self._fresh}{kind}-{identity.hex()}.nbc"), identity
 
     def save(self, kind: str, tag: str, data: Any) -> None:
-        """Keep one signature; a full disk or a lost folder costs the entry and nothing else."""
+        """Keep one signature; a full disk or a lost folder costs the entry and a message, nothing else."""
         path, identity = self._file(kind, tag)
         content = serialize.dumps(data)  # type: ignore[no-untyped-call]
-        with contextlib.suppress(OSError):
+        try:
             make_private(self._folder)
             self._remove_older()
             number, temporary = tempfile.mkstemp(dir=self._folder, prefix=self._fresh, suffix=".tmp")
@@ -106,6 +106,8 @@ class KernelCache:
             except OSError:
                 os.unlink(temporary)
                 raise
+        except OSError as error:
+            say_not_kept(cache_directory(), error.strerror or str(error))
 
     def load(self, kind: str, tag: str) -> Any:
         """Kept code of this signature; None where it is missing, damaged or another's."""

@@ -11,7 +11,7 @@ import contextlib
 import os
 import time
 
-from surffollow.config.names import check_name, check_service_name
+from surffollow.config.names import check_object_name, check_service_name
 from surffollow.config.trusted_users import own_user
 from surffollow.errors import BusyError, ExistsError, NotReadyError, NotRunningError
 from surffollow.shm.latch_shape import latch_bytes
@@ -59,7 +59,7 @@ def object_name(name: str) -> str:
     InvalidNameError
         when the name has characters that a path could misread
     """
-    return check_name(f"{check_service_name(name)}.world")
+    return check_object_name(f"{check_service_name(name)}.world")
 
 
 def _sign(obj: SharedObject) -> None:

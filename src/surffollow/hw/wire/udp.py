@@ -19,6 +19,7 @@ from surffollow.shm.readable import wait_readable
 
 DATAGRAM_BYTES = 65536
 AT_ONCE = 64  # datagrams taken in one read
+_FORMAT = "check format and checksum"
 
 
 class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
@@ -64,6 +65,7 @@ class UdpSource:
         self.name = f"UDP port {config.host}:{config.port}"
         self.port = config.port  # the one that was given, where 0 was asked for
         self.rejected = self.missing = 0
+        self.rejection = _FORMAT
         self._config, self._info = config, info
         self._finder = make_finder(config.format)
         self._end = config.format.terminator.encode()
@@ -98,7 +100,7 @@ class UdpSource:
                 break
             now_ns = time.monotonic_ns()
             if self._config.sender not in ("any", address, f"{address}:{port}"):
-                self.rejected += 1
+                self._reject(f"datagrams come from {address}:{port}, expected from {self._config.sender}")
                 continue
             found = self._measurements(data)
             if not found or not self._is_next(data):
@@ -108,6 +110,9 @@ class UdpSource:
                     out.append((now_ns, pack_range(self._info, channel, range_m)))
         return out
 
+    def _reject(self, why: str) -> None:
+        self.rejected, self.rejection = self.rejected + 1, why
+
     def _is_next(self, data: bytes) -> bool:
         """Whether a datagram is newer than the last one; how many are missing between them is counted."""
         if self._sequence is None or self._config.sequence is None:
@@ -116,7 +121,7 @@ class UdpSource:
         span = 1 << 8 * self._sequence.size
         ahead = (number - self._number) % span if self._number is not None else 1
         if not 0 < ahead < span // 2:
-            self.rejected += 1
+            self._reject("datagrams repeat or go back in sequence; check the setting sequence")
             return False
         self.missing += ahead - 1
         self._number = number
@@ -133,7 +138,7 @@ class UdpSource:
         found = [finder.parse(piece) for piece in pieces]
         good = [f for f in found if f is not None]
         if len(good) < len(found) or not found:
-            self.rejected += 1
+            self._reject(_FORMAT)
             return []
         return good
 
