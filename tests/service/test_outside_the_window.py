@@ -46,6 +46,6 @@ def test_the_status_names_pushed_ranges_in_another_unit(make_service: Callable[.
             client.push_range(0, time.monotonic_ns(), range_m)
             return str(client.status()["main"]["text"])
 
-        until(lambda: "the last one is 100 m; is the sensor's unit metres?" in text_after(100.0), "note")
+        until(lambda: "the last one is 100 m; is the unit right?" in text_after(100.0), "note")
         assert "outside the window 0.05 to 0.3 m" in service.run("status").stdout
         until(lambda: "outside the window" not in text_after(0.1), "the note's end")

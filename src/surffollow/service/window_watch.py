@@ -84,6 +84,6 @@ def window_notes(ctx: NDArray[np.int64]) -> list[str]:
         )
         notes.append(
             f"channel {c}: the latest {run} distances are outside the window {near_m:g} to {far_m:g} m, the "
-            f"last one is {last_m:.6g} m; is the sensor's unit metres?"
+            f"last one is {last_m:.6g} m; is the unit right?"
         )
     return notes
