@@ -69,7 +69,10 @@ class NaiveResponse:
     def observe(self, t_ns: int, range_m: float, z_m: float) -> None:
         """One sample of the sensor, with the height of the tool at its time."""
         dt_s = None if self.last_ns is None else (t_ns - self.last_ns) * 1e-9
-        begins = dt_s is None or not 0.0 < dt_s <= self.gap_s
+        begins = dt_s is None or dt_s < 0.0
+        if dt_s is not None and dt_s > self.gap_s:  # an answer takes time with samples
+            self.begin_ns = t_ns
+            self.shift_ns = t_ns if self.shift_ns is not None else None
         if self.last_ns is None:
             self.mean_m = self.run_m = 0.0
             self.in_run = 0

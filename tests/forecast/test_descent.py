@@ -13,9 +13,8 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import REASON_DESCENT, REASON_NAMES, AdaptiveState
 
 from .feeding import default_params
-from .test_adaptive_response import closed_loop, noisy
+from .response_loop import MS, closed_loop, noisy
 
-MS = 1_000_000
 REASON = REASON_NAMES[REASON_DESCENT]
 
 
