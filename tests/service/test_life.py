@@ -42,6 +42,7 @@ def test_start_prints_ready_with_the_pid_and_status_knows_it(service: Service) -
     assert status["params"]["offset_m"] == 0.1
     text = service.run("status").stdout
     assert f"service {service.name}: ready, pid {service.pid}" in text
+    assert "standoff 100 mm" in text
 
 
 def test_status_tells_that_there_is_no_map_and_a_command_lays_one(service: Service) -> None:

@@ -170,6 +170,8 @@ def render(s: dict[str, Any]) -> str:
             f"ranges   {s['ranges']} taken, {s['ranges_refused']} refused, {s['ranges_skipped']} left out; "
             f"channel {', '.join(pushers) or 'pushed by no client'}",
         )
+    if "params" in s:
+        lines.insert(5, f"standoff {1e3 * s['params']['offset_m']:.6g} mm")
     lines[5:5] = follower_lines(s["follower"])
     if s["stopped"]:
         lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it")

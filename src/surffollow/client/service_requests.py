@@ -94,6 +94,8 @@ class ServiceRequests(RangePusher):
     def reset_stop(self, *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
         """Leave the latched stop; the forecast restarts with the stand-off in force (see `sf_reset`).
 
+        After a restart of the service that is the configured one: `sf_reset` sets another.
+
         Parameters
         ----------
         timeout_s, wait : float, bool
