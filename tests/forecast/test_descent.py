@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from surffollow.benchmark import families
 from surffollow.benchmark.hazard_scenarios import SIGMA_M, STANDOFF_M
 from surffollow.forecast.sensing.descent import observe_descent
 from surffollow.shm.dtypes import zeros
@@ -57,6 +58,17 @@ def test_ranges_that_depend_on_nothing_are_named_before_the_tool_is_down(unseen_
 )
 def test_a_tool_that_follows_falling_ground_is_not_suspected(ground, speed, seed):
     _, _, states = closed_loop(ground, noisy, seconds=5.0, seed=seed, speed=speed)
+    assert not any(s["reason"] == REASON for s in states)
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.4])
+@pytest.mark.parametrize("family", ["weld", "hull", "casting", "lap_joints", "pipes", "terrain", "furrows"])
+def test_a_tool_over_the_surfaces_of_the_benchmark_is_not_suspected(family, speed):
+    x = np.arange(0.0, 3.0, 5e-4)
+    h = getattr(families, family)(np.random.default_rng(9001), x)
+    _, _, states = closed_loop(
+        lambda at: float(np.interp(at, x, h)), noisy, seconds=min(5.0, 2.8 / speed), speed=speed
+    )
     assert not any(s["reason"] == REASON for s in states)
 
 
