@@ -87,6 +87,7 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
         z -= 3e-4 * float(rng.random() - 0.2)
         z += 0.01 * float(rng.random() < 0.005)
         r = STANDOFF_M + 0.004 + 0.003 * math.sin(0.05 * k) + 1e-3 * float(rng.standard_normal())
+        a["sample"]["lead_m"] = 0.05 * (k % 40 < 10)  # at times it leads
         observe_descent(params, a, k * 4 * MS, r, z)
         if k == 1:
             mean = low = high = r
@@ -108,6 +109,7 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
             and fall > 3.0 * error
             and error * fall > 0.36 * spread * STANDOFF_M
             and fall > 0.2 * speed * 4e-3 * len(kept)
+            and k % 40 >= 10
         )
         assert a["descent"]["unexplained"] == expected, k
         falls += expected
@@ -131,13 +133,13 @@ def test_a_pause_of_a_stuck_sensor_does_not_make_it_a_good_one(gap_at_s):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_frozen_sensor_with_pauses_is_found_before_the_tool_is_down(seed):
-    """GIVEN level ground, a range frozen at the stand-off with its noise, and a gap of 80 ms every second."""
+def test_a_frozen_sensor_with_pauses_is_found_as_early_as_one_without(seed):
+    """GIVEN level ground, a range frozen 0.5 mm too long with its noise, and a gap of 80 ms every second."""
 
     def read(t, r, rng):
         if t % 1.0 < 0.08:
             return math.nan
-        return noisy(t, r, rng) if t < 2.0 else noisy(t, STANDOFF_M, rng)
+        return noisy(t, r, rng) if t < 2.0 else noisy(t, STANDOFF_M + 5e-4, rng)
 
-    heights, _, _ = closed_loop(lambda _: 0.0, read, seconds=30.0, seed=seed, speed=0.1)
-    assert heights.min() > 0.8 * STANDOFF_M
+    heights, _, _ = closed_loop(lambda _: 0.0, read, seconds=25.0, seed=seed, speed=0.1)
+    assert heights.min() > 0.85 * STANDOFF_M

@@ -162,9 +162,9 @@ def _print_result(summary: dict[str, Any], as_json: bool) -> None:
 
 
 class _StopSignals:
-    """SIGINT and SIGTERM end the preparations at once; then whoever asks learns of them.
+    """SIGINT and SIGTERM end the preparations at once; after the first call a call returns whether one came.
 
-    From the first question on there is a block to remove: a signal interrupts nothing any more.
+    From then on there is a block to remove: a signal interrupts nothing any more.
     """
 
     def __init__(self) -> None:

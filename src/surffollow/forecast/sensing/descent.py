@@ -10,6 +10,7 @@ neither is so, and the ground would be steep.
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.mean_range import mean_band_m, mean_samples
+from surffollow.forecast.sensing.response import ERROR_MOTION, MOTION_BANDS
 from surffollow.shm.jit import jit
 
 RETURN_SHARE = 0.1  # of a fall: a tool that has risen by more begins another descent
@@ -52,7 +53,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)
     descent.most_m = max(descent.most_m + fade * (descent.range_m - descent.most_m), descent.range_m)
     fall_m, rise_m = descent.top_z_m - descent.low_z_m, tool_z_m - descent.low_z_m
-    if rise_m > min(fall_m, max(4.0 * band, RETURN_SHARE * fall_m)):  # more than the noise hides
+    if rise_m > min(fall_m, max(MOTION_BANDS * band, RETURN_SHARE * fall_m)):
         begin_descent(descent, tool_z_m)
     descent.low_z_m = min(descent.low_z_m, tool_z_m)
     descent.samples += 1
@@ -63,7 +64,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     spread_m = max(0.5 * (descent.most_m - descent.least_m), band)
     least_m = max(band, LEAST_ERROR * params.offset_m)
     long = descent.samples > 2.0 * number and error_m > least_m and fall_m > FALL_ERRORS * error_m
-    great = error_m * fall_m > 0.36 * spread_m * params.offset_m
+    great = error_m * fall_m > ERROR_MOTION * spread_m * params.offset_m
     steep = fall_m > PLAUSIBLE_SLOPE * descent.travel_m
     below = abs(adaptive.sample.lead_m) < APART_M
     descent.unexplained = 1 if long and great and steep and below else 0

@@ -1,8 +1,7 @@
 """Response of the range to the tool's own motion: an active test of the sensor.
 
 A sensor that no longer sees the ground (stuck, or blocked by something that moves with it) reads a constant
-range with any noise. The tool then makes the ground move by itself: what it descends, the height falls, and
-what it climbs, the height rises.
+range with any noise. The ground then seems to move with the tool.
 A follower that tracks a plane well reads a constant range, too, but that is the wanted one, with noise. A
 descent with a constant range that is not the wanted one, or that is repeated, is tested: the tool stops
 (`RESPONSE_HOLD`), and the range must change by the motion that does not take place. If it does not, the tool
@@ -261,8 +260,9 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     response, number = adaptive.response, mean_samples(adaptive)
     sigma = max(adaptive.noise.sigma_m, MIN_NOISE_M)
     band = mean_band_m(sigma, number)
-    begins, since_s = response.t_ns == 0 or t_ns < response.t_ns, (t_ns - response.t_ns) * 1e-9
-    response.t_ns, response.test_ns = t_ns, t_ns if since_s > gap_s else response.test_ns
+    begins = response.t_ns == 0 or t_ns < response.t_ns
+    paused, response.t_ns = (t_ns - response.t_ns) * 1e-9 > gap_s, t_ns
+    response.test_ns = t_ns if paused else response.test_ns  # an answer takes time with samples
     _count_repeats(params, adaptive, range_m, tool_z_m)
     # chance makes four of a row now and then; without noise, or before it is known, ranges stay for long
     often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 5.0) and sigma > MIN_NOISE_M
