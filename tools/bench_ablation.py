@@ -72,7 +72,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "second sample in the gate": [
         (
             "innovation_gate",
-            "if not INNER_GATE * gate_m < abs(innovation_m) <= gate_m or",
+            "if not INNER_GATE * gate.width_m < abs(innovation_m) <= gate.width_m or",
             "if INNER_GATE >= 0.0 or",
         )
     ],
@@ -114,7 +114,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "limits behind a fall": [("setpoint_limits", "factor = params.toward_factor if", "factor = 1.0 if")],
     "two samples of slow sensors": [
-        ("innovation_gate", "CONFIRMATION_TAUS = 0.5", "CONFIRMATION_TAUS = 1e9")
+        ("pending_samples", "CONFIRMATION_TAUS = 0.5", "CONFIRMATION_TAUS = 1e9")
     ],
     "learned waiting time": [
         (
@@ -149,7 +149,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
             "p_e = 0.0",
         )
     ],
-    "more samples in a burst": [("innovation_gate", "int(0.25 * tau_s", "int(0.0 * tau_s")],
+    "more samples in a burst": [("pending_samples", "int(0.25 * tau_s", "int(0.0 * tau_s")],
     "wider gate of sparse samples": [("innovation_gate", "PLAUSIBLE_SLOPE * travel_m", "0.0 * travel_m")],
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")

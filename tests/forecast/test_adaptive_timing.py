@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from surffollow.forecast.estimation.innovation_gate import hold_pending
+from surffollow.forecast.estimation.pending_samples import confirm_by
 from surffollow.forecast.plant.controller_clock import mean_wait_s, observe_latch
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
@@ -35,7 +35,7 @@ def samples_that_confirm(interval_s: float, rises_on: bool = False) -> int:
     a["gate"]["slot_likelihood"] = 1.0
     for n in range(1, 10):
         a["estimate"]["sample_ns"] += int(interval_s * 1e9)
-        if hold_pending(default_params(), a, 0.01, 1e-4, 1e-3, False, rises_on):
+        if confirm_by(default_params(), a, 0.01, 1e-4, 1e-3, False, rises_on):
             return n
     return 0
 

@@ -16,6 +16,7 @@ from surffollow.shm.layout_adaptive_estimation import (
     Gate,
     Lead,
     Noise,
+    Pending,
     Shadow,
     Weights,
 )
@@ -174,6 +175,7 @@ class AdaptiveState(Schema):
     descent = Nested(Descent)
     prediction = Nested(Prediction)
     noise = Nested(Noise)
+    pending = Nested(Pending)
     gate = Nested(Gate)
     bank = Nested(Bank)
     shadow = Nested(Shadow)

@@ -10,6 +10,8 @@ N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
 
+WITHHELD, PENDING, ACCEPTED, STEP, RESTART = range(5)  # what becomes of a sample (`innovation_gate`)
+
 
 class Noise(Schema):
     """Noise of the readings (`noise`)."""
@@ -19,24 +21,32 @@ class Noise(Schema):
     recent_m = F64(2, unit="m", doc="the two accepted heights before the newest one")
 
 
-class Gate(Schema):
-    """Innovation gate, pending samples and steps (`innovation_gate`)."""
+class Pending(Schema):
+    """Samples outside the innovation gate (`pending_samples`)."""
 
-    scale_m = F64(unit="m", doc="usual innovation of the blend")
-    pending = I64(doc="pending samples that agree")
-    pending_innovation_m = F64(unit="m", doc="sum of their innovations")
-    pending_arc_length_m = F64(unit="m", doc="sum of their arc lengths")
-    pending_height_m = F64(unit="m", doc="sum of their heights")
-    pending_travel_m = F64(unit="m", doc="distance travelled since the first of them")
-    pending_ns = I64(unit="ns", doc="timestamp of the first of them")
-    kept_arc_length_m = F64(PENDING_HEIGHTS, unit="m", doc="ring of the pending samples' arc lengths")
+    samples = I64(doc="pending samples that agree")
+    innovation_m = F64(unit="m", doc="sum of their innovations")
+    arc_length_m = F64(unit="m", doc="sum of their arc lengths")
+    height_m = F64(unit="m", doc="sum of their heights")
+    travel_m = F64(unit="m", doc="distance travelled since the first of them")
+    t_ns = I64(unit="ns", doc="timestamp of the first of them")
+    kept_arc_length_m = F64(PENDING_HEIGHTS, unit="m", doc="ring of their arc lengths")
     kept_height_m = F64(PENDING_HEIGHTS, unit="m", doc="and heights")
-    unconfirmed_m = F64(unit="m", doc="innovation held back for a second sample; 0: none")
-    withheld_m = F64(unit="m", doc="innovation of a nearer sample that waits for a second one; 0: none")
-    nearer = I64(doc="1: the newest sample was nearer than the models follow; so may the next one be")
     rejected = I64(doc="outliers in a row that did not agree with the one before")
     opposed = I64(doc="of those, outliers on the other side than the one before")
     odd = I64(doc="1: the newest outlier does not agree with the pending ones, which stay")
+
+
+class Gate(Schema):
+    """Innovation gate and steps (`innovation_gate`)."""
+
+    decision = I64(doc="on the newest sample: 0 withheld, 1 pending, 2 accepted, 3 step, 4 restart")
+    scale_m = F64(unit="m", doc="usual innovation of the blend")
+    width_m = F64(unit="m", doc="width of the gate for the newest sample")
+    steepest_rise_m = F64(unit="m", doc="greatest rise of the ground up to the newest sample")
+    unconfirmed_m = F64(unit="m", doc="innovation held back for a second sample; 0: none")
+    withheld_m = F64(unit="m", doc="innovation of a nearer sample that waits for a second one; 0: none")
+    nearer = I64(doc="1: the newest sample was nearer than the models follow; so may the next one be")
     slot_likelihood = F64(
         doc="likelihood that a hollow is a slot: 1 not known, toward 0 by steps that stayed"
     )

@@ -4,12 +4,12 @@ import math
 
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights, noise, setpoint_lead
 from surffollow.forecast.plant import shadow_axes
-from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, PAUSE_NS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest
 from surffollow.forecast.terrain.terrain_buffer import store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_MODELS, PENDING_HEIGHTS
+from surffollow.shm.layout_adaptive_estimation import ACCEPTED, N_MODELS, PENDING_HEIGHTS, RESTART, STEP
 
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 
@@ -59,7 +59,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     estimate.samples, estimate.kept_slope = 1, 0.0
     if fresh or adapt:
         model_weights.update_weights(params, adaptive, math.inf)  # without their filter
-    innovation_gate.reset_gate(gate, fresh)
+    innovation_gate.reset_gate(gate, adaptive.pending, fresh)
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = estimate.in_frame_ns = t_ns
@@ -91,17 +91,17 @@ def confirm_step(params, adaptive, stretch):
 
     `stretch` is the length on the path of the models per distance travelled.
     """
-    gate, estimate = adaptive.gate, adaptive.estimate
-    n = gate.pending
-    s, h = gate.pending_arc_length_m / n, gate.pending_height_m / n
+    pending, estimate = adaptive.pending, adaptive.estimate
+    n = pending.samples
+    s, h = pending.arc_length_m / n, pending.height_m / n
     before = estimate.height_m
     model_bank.shift_bank(adaptive.bank, h, stretch * (estimate.arc_length_m - s))
     blend_models(adaptive)
     noise.shift_heights(adaptive.noise, estimate.height_m - before)
     for k in range(max(0, n - PENDING_HEIGHTS), n - 1):
         slot = k & (PENDING_HEIGHTS - 1)
-        store_ground_under(adaptive, gate.kept_arc_length_m[slot], gate.kept_height_m[slot])
-    innovation_gate.register_step(params, gate, estimate.sample_ns)
+        store_ground_under(adaptive, pending.kept_arc_length_m[slot], pending.kept_height_m[slot])
+    innovation_gate.register_step(params, adaptive.gate, pending, estimate.sample_ns)
 
 
 @jit
@@ -169,28 +169,18 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
     steepest = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)
-    rises_on = gate.nearer != 0 and innovation > 0.0
-    rise = MAX_SLOPE * steepest if rises_on else steepest
-    innovation_gate.update_travel(params, gate, travel)
-    enters, width = innovation_gate.gate_sample(params, adaptive, innovation, travel, steepest, gap, rises_on)
-    outside = abs(innovation) > width
-    if not enters:
-        if adapt and not outside and estimate.samples > 1:
-            innovation_gate.update_scale(gate, innovation, width)  # frequent ones mean rough ground
-        innovation_gate.withhold_sample(gate, innovation, rise, not outside)
-        if adapt and since_accepted_ns * 1e-9 > 2.0 * adaptive.plant.tau_s:
-            innovation_gate.widen_gate(gate, estimate.samples)
+    decision = innovation_gate.judge_sample(params, adaptive, innovation, travel, steepest, gap, adapt)
+    if decision < ACCEPTED:
         return False
-    if outside and gate.pending > estimate.samples:
-        restart_estimate(params, adaptive, t_ns, gate.pending_height_m / gate.pending, standoff_m, adapt)
+    if decision == RESTART:
+        first_m = adaptive.pending.height_m / adaptive.pending.samples
+        restart_estimate(params, adaptive, t_ns, first_m, standoff_m, adapt)
         return True
-    if outside:
+    if decision == STEP:
         confirm_step(params, adaptive, way / travel)
         innovation = h_m - estimate.height_m
-    else:
-        innovation_gate.accept_sample(params, gate)
     if adapt:
-        innovation_gate.update_scale(gate, innovation, width)
+        innovation_gate.update_scale(gate, innovation)
         # setpoints are for the footprint, or for the ground ahead of it where the sensor trails
         if comparable and over_ns > estimate.settle_ns:
             model_weights.update_index(params, adaptive, way, dt, h_m + standoff_m)
@@ -200,10 +190,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         model_bank.adapt_waves(bank, h_m, r, way)
     model_bank.update_bank(bank, h_m, r)
     blend_models(adaptive)
-    nearer_m = h_m - estimate.height_m
-    # the models follow too slowly
-    if nearer_m > innovation_gate.INNER_GATE * innovation_gate.gate_width(params, adaptive):
-        innovation_gate.withhold_sample(gate, nearer_m, rise, True)
+    innovation_gate.note_remainder(params, adaptive, h_m - estimate.height_m)
     share = 1.0 - math.exp(-way / 1.0)  # a mean over a metre
     estimate.slope_power += share * (estimate.slope * estimate.slope - estimate.slope_power)
     if adaptive.weights.scored == 0:

@@ -144,7 +144,7 @@ def present_health(params, adaptive, silent, left_out):
         (is_late(params, adaptive), layout.REASON_LATE),
         (adaptive.response.unused != 0, layout.REASON_REPEATED),
         (adaptive.descent.unexplained != 0, layout.REASON_DESCENT),
-        (adaptive.gate.pending > 0, layout.REASON_PENDING),
+        (adaptive.pending.samples > 0, layout.REASON_PENDING),
     ):
         if found:
             return layout.SUSPECT, reason

@@ -1,0 +1,123 @@
+"""Samples outside the innovation gate: they stay pending until enough of them agree; then they are a step.
+
+A step toward the tool is confirmed by agreeing samples, a step away from it also by distance travelled,
+because it may be a slot. The distance depends on the likelihood of slots: slots end, steps stay.
+"""
+
+from surffollow.forecast.quantities import MAX_SLOPE
+from surffollow.forecast.sensing.sample_hold import count_m
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
+
+# two samples confirm a step where more of them take longer than so many time constants of the axis; where
+# the interval is longer than that, the tool rises before the second one
+CONFIRMATION_TAUS = 0.5
+INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and two pending ones do not agree
+STOOD_NS = 120_000_000  # a hollow that lasts so long is no slot, where the tool rests or after a bad start
+
+
+@jit
+def _agrees(params, adaptive, innovation_m, travel_m, gate_m):
+    """Whether an outlier is as high as the pending one before; on a flank it may go on in its direction."""
+    pending = adaptive.pending
+    height_m = adaptive.estimate.height_m + innovation_m
+    further_m = height_m - pending.kept_height_m[(pending.samples - 1) & (PENDING_HEIGHTS - 1)]
+    tolerance = max(INNER_GATE * gate_m, params.gate_m, 1.5 * count_m(adaptive.hold))
+    if further_m * innovation_m > 0.0:
+        tolerance += travel_m
+        if innovation_m > 0.0:
+            tolerance = max(tolerance, MAX_SLOPE * travel_m)
+    return pending.samples > 0 and abs(further_m) < tolerance
+
+
+@jit
+def _add_pending(adaptive, innovation_m, travel_m):
+    """Add an outlier to the sums and the ring of the pending samples."""
+    pending, estimate = adaptive.pending, adaptive.estimate
+    height_m = estimate.height_m + innovation_m
+    pending.samples += 1
+    pending.travel_m += travel_m
+    pending.innovation_m += innovation_m
+    pending.arc_length_m += estimate.arc_length_m
+    pending.height_m += height_m
+    slot = (pending.samples - 1) & (PENDING_HEIGHTS - 1)
+    pending.kept_arc_length_m[slot], pending.kept_height_m[slot] = estimate.arc_length_m, height_m
+
+
+@jit
+def _replace_pending(adaptive, innovation_m, travel_m):
+    """Begin the pending samples with an outlier that agrees with none before it."""
+    pending = adaptive.pending
+    if pending.samples > 0:
+        pending.rejected += 1
+        pending.opposed += 1 if innovation_m * pending.innovation_m < 0.0 else 0
+    pending.samples, pending.travel_m, pending.t_ns = 0, 0.0, adaptive.estimate.sample_ns
+    pending.innovation_m = pending.arc_length_m = pending.height_m = 0.0
+    _add_pending(adaptive, innovation_m, travel_m)
+
+
+@jit
+def _needed(params, adaptive, rises_on):
+    """Number of pending samples that confirm a step."""
+    pending, tau_s, interval_s = adaptive.pending, adaptive.plant.tau_s, adaptive.prediction.interval_s
+    late = params.step_samples * interval_s > CONFIRMATION_TAUS * tau_s
+    # two are enough where steps have stayed, and where a third one comes late
+    steps = (
+        min(params.step_samples, 2) if late or adaptive.gate.slot_likelihood < 0.2 else params.step_samples
+    )
+    # in a burst of wrong readings some agree by chance; they delay a step by no more than τ/4
+    return steps + min(pending.rejected, int(0.25 * tau_s / max(interval_s, 1e-6))) - rises_on
+
+
+@jit
+def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on):
+    """Hold an outlier as pending; whether the pending samples are a step with it.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`pending` updated)
+    innovation_m : float64  innovation ν of the sample [m], outside the gate
+    travel_m : float64      distance travelled since the sample before [m]
+    gate_m : float64        width of the gate [m]
+    gap : bool              the samples paused before: a step needs no travel
+    rises_on : bool         this sample is nearer, and the one before was: one sample less is needed
+
+    Notes
+    -----
+    With the likelihood of slots ρ, the sensor's interval T, the axis' time constant τ and n = `step_samples`:
+
+        need = (2 if ρ < 0.2 or n T > τ/2, else n) + min(outliers that agreed with none, τ / (4 T)) − rises_on
+        is_step = ν > 0, or travel ≥ ρ · `step_travel`, or time ≥ 120 ms, or pending > accepted samples
+
+    A step is confirmed when pending ≥ need and is_step. One outlier that disagrees with n others is left out.
+    """
+    pending, estimate = adaptive.pending, adaptive.estimate
+    agrees = _agrees(params, adaptive, innovation_m, travel_m, gate_m)
+    if not agrees and pending.samples >= params.step_samples and pending.odd == 0:
+        pending.odd = 1  # a glitch among many that agree
+        pending.travel_m += travel_m
+        return False
+    pending.odd = 0
+    if agrees:
+        _add_pending(adaptive, innovation_m, travel_m)
+    else:
+        _replace_pending(adaptive, innovation_m, params.step_travel_m if gap else 0.0)
+    # a step away from the tool may be a slot; with a bad start, and at rest, there is no travel
+    travelled = pending.travel_m >= params.step_travel_m * adaptive.gate.slot_likelihood
+    stood = estimate.sample_ns - pending.t_ns >= STOOD_NS
+    is_step = innovation_m > 0.0 or travelled or stood or pending.samples > estimate.samples
+    return pending.samples >= _needed(params, adaptive, rises_on) and is_step
+
+
+@jit
+def reject_pending(pending):
+    """Drop the pending samples: a sample inside the gate that waits agrees with none of them."""
+    if pending.samples > 0:
+        pending.rejected += 1
+        pending.samples = 0
+
+
+@jit
+def drop_pending(pending):
+    """Drop the pending samples, and the number of rejected ones."""
+    pending.samples = pending.rejected = pending.opposed = 0
