@@ -10,11 +10,13 @@ import pytest
 from surffollow.benchmark import families
 from surffollow.benchmark.hazard_scenarios import SIGMA_M, STANDOFF_M
 from surffollow.forecast.sensing.descent import observe_descent
+from surffollow.forecast.step import reset_stop
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import REASON_DESCENT, REASON_NAMES, AdaptiveState
+from surffollow.shm.layout_follow import STOP_DESCENT, STOPPED, VALID
 
 from .feeding import default_params
-from .response_loop import MS, closed_loop, noisy
+from .response_loop import MS, closed_loop, noisy, standard
 
 REASON = REASON_NAMES[REASON_DESCENT]
 
@@ -43,6 +45,33 @@ def test_ranges_that_depend_on_nothing_are_named_before_the_tool_is_down(unseen_
     first = next(k for k, s in enumerate(seen(states)) if s)
     assert first > 200
     assert heights[: first + 1].min() > 0.5 * STANDOFF_M
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_stop_for_descents_ends_them_and_can_be_reset(seed):
+    """GIVEN a configuration that names the cause WHEN the sensor reads a hose THEN the tool stays up."""
+    f = standard()
+    f._params[0]["stop_on"] = STOP_DESCENT
+
+    def read(t, r, rng):
+        return 0.105 + 0.005 * math.sin(2.0 * math.pi * t) if 2.0 < t < 9.0 else noisy(t, r, rng)
+
+    heights, _, _ = closed_loop(
+        lambda x: 0.01 * math.sin(12.0 * x), read, seconds=5.0, seed=seed, speed=0.05, follower=f
+    )
+    assert heights.min() > 0.5 * STANDOFF_M
+    output = f._output[0]
+    assert output["status"] & STOPPED
+    assert not output["status"] & VALID
+    assert (output["stop"], output["stop_now"]) == (STOP_DESCENT, 0)
+    reset_stop(f._params, f._state)
+    z = STANDOFF_M
+    for ms in range(5000, 6000):
+        if ms % 10 == 0:
+            f.pose(ms * MS, (0.25, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        f.step(ms * MS, [STANDOFF_M if ms % 4 == 0 else math.nan])
+    assert output["status"] & VALID
+    assert output["stop"] == 0
 
 
 @pytest.mark.parametrize("seed", range(3))

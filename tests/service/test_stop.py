@@ -139,7 +139,7 @@ def test_a_stop_outlives_the_kill_of_its_service(make_service: Make) -> None:
 
 
 def test_named_causes_stop_and_cannot_be_reset_while_they_last(make_service: Make) -> None:
-    causes = ("pose_stale", "sensor_lost", "too_close", "pose_lost", "driver", "start")
+    causes = ("pose_stale", "sensor_lost", "too_close", "pose_lost", "driver", "start", "descent")
     # a sensor that does not move with reported poses when no simulator publishes the true one
     # GIVEN a service that stops for every cause that it knows
     s = make_service(kind="simulated", follow='loss_timeout = "0.2 s"', driver='pose = "world"')

@@ -17,6 +17,7 @@ STOP_NAMES = (
     "driver",
     "start",
     "restart",
+    "descent",
 )
 ALWAYS = ("request", "restart")  # need not be named
 

@@ -27,16 +27,20 @@ def latch_stop(state, causes):
 def apply_stop(params, state, output):
     """Latch the causes that the configuration names; while stopped the demand is zero and not valid.
 
-    A forecast that has not begun yet is without a reading, which is no loss.
+    A forecast that has not begun yet is without a reading, which is no loss. A tool that is stopped does not
+    descend.
     """
     if output.status & layout.VALID:
         state.stop_armed = 1
     lost = output.status & layout.SENSOR_LOST and state.stop_armed != 0
-    stuck = params.mode == layout.MODE_ADAPTIVE and output.health == STUCK
+    adaptive = params.mode == layout.MODE_ADAPTIVE
+    stuck = adaptive and output.health == STUCK
+    descends = adaptive and state.adaptive.descent.unexplained != 0 and state.stop == 0
     causes = layout.STOP_POSE_STALE if output.status & layout.POSE_STALE else 0
     causes |= layout.STOP_SENSOR_LOST if lost else 0
     causes |= layout.STOP_TOO_CLOSE if output.status & layout.TOO_CLOSE else 0
     causes |= layout.STOP_STUCK if stuck else 0
+    causes |= layout.STOP_DESCENT if descends else 0
     output.stop_now = causes
     state.stop |= causes & params.stop_on
     output.stop = state.stop

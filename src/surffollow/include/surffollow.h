@@ -290,7 +290,8 @@ enum {
   SF_STOP_POSE_LOST = 32,
   SF_STOP_DRIVER = 64,
   SF_STOP_START = 128,
-  SF_STOP_RESTART = 256
+  SF_STOP_RESTART = 256,
+  SF_STOP_DESCENT = 512
 };
 
 /* A parameter that may be set: its number in requests, whether it is whole, its bounds. */

@@ -59,6 +59,8 @@ STOP_START = 1 << 7  # the service started: the first demand waits for a reset
 assert 1 << STOP_NAMES.index("start") == STOP_START
 STOP_RESTART = 1 << 8  # it died with other parameters in force than it has now
 assert 1 << STOP_NAMES.index("restart") == STOP_RESTART
+STOP_DESCENT = 1 << 9  # adaptive: the tool descends steeply, and the range stays too long
+assert 1 << STOP_NAMES.index("descent") == STOP_DESCENT
 
 
 class Params(Schema):
