@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from surffollow.forecast.quantities import REPEAT_BAND
 from surffollow.forecast.sensing import response as r
+from surffollow.forecast.sensing.repeated_ranges import REPEAT_RATIO
 
 RUN, HOLD, LIFT, NONE = "run", "hold", "lift", "none"
 
@@ -41,15 +43,17 @@ class NaiveResponse:
     gate_m: float = 0.0
     repeated_z_m: float = 0.0
     unused: bool = False
+    descent_m: tuple[float, float] | None = None  # least and greatest mean range of one that is to be tested
+    swing_m: float = 0.0
 
     def _begin_run(self, z_m: float) -> None:
         self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
         self.top_z_m, self.low_z_m = z_m, z_m
         self.rates_mps: list[float] = []
-        self.shift_ns, self.lift_m = None, 0.0
+        self.shift_ns, self.lift_m, self.swing_m = None, 0.0, 0.0
 
     def _count_repeats(self, range_m: float, z_m: float) -> None:
-        if self.repeats > 0 and abs(range_m - self.repeated_m) <= r.REPEAT_BAND * self.sigma_m:
+        if self.repeats > 0 and abs(range_m - self.repeated_m) <= REPEAT_BAND * self.sigma_m:
             self.repeats += 1
             return
         longer, outlier = self.repeats > self.usual_repeats, abs(range_m - self.repeated_m) > self.gate_m
@@ -64,7 +68,7 @@ class NaiveResponse:
 
     @property
     def is_repeated(self) -> bool:
-        return self.repeats >= r.MAX_READINGS and self.repeats >= r.REPEAT_RATIO * self.usual_repeats
+        return self.repeats >= r.MAX_READINGS and self.repeats >= REPEAT_RATIO * self.usual_repeats
 
     def observe(self, t_ns: int, range_m: float, z_m: float) -> None:
         """One sample of the sensor, with the height of the tool at its time."""
@@ -90,10 +94,12 @@ class NaiveResponse:
         if self.number < self.in_run < r.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
         self.band_m = r.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
-        often = self.repeats >= max(5, r.REPEAT_RATIO * self.usual_repeats) and self.usual_repeats > 0.0
+        often = self.repeats >= max(5, REPEAT_RATIO * self.usual_repeats) and self.usual_repeats > 0.0
         moved = often and abs(z_m - self.repeated_z_m) > self.band_m
         self.unused = self.repeats > 1 and (self.unused or moved)
-        allowed_m = self.band_m if self.phase == RUN else r.TEST_BAND_FACTOR * self.band_m
+        allowed_m = self.band_m
+        if self.phase != RUN:
+            allowed_m = max(r.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
         changed = self.phase != RUN and self.because_repeated and self.repeats == 1
         self.answer_s = self.delay_s + r.STOP_TAUS * self.tau_s + r.MIN_MEANS * self.number * self.interval_s
         if begins or abs(self.mean_m - self.run_m) > allowed_m or changed:
@@ -104,6 +110,12 @@ class NaiveResponse:
             if begins or abs(range_m - self.mean_m) > most_m:
                 self.mean_m = range_m
             self._begin_run(z_m)
+        elif self.phase == RUN and self.descent_m is not None:
+            self._begin_run(z_m)
+            least_m, most_m = self.descent_m
+            self.run_m, self.swing_m = 0.5 * (least_m + most_m), 0.5 * (most_m - least_m)
+            self.in_run, self.rose, self.because_repeated = r.RUN_SAMPLES, False, False
+            self.phase, self.begin_ns, self.begin_z_m = HOLD, t_ns, z_m
         elif self.phase == RUN and t_ns < self.settled_ns and not self.is_repeated:
             self._begin_run(z_m)
         elif self.phase == RUN:
@@ -160,7 +172,7 @@ class NaiveResponse:
             return
         if self.phase == HOLD:
             self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
-            self.lift_m = r.MOTION_BANDS * self.band_m
+            self.lift_m = max(r.MOTION_BANDS * self.band_m, r.SWINGS[1] * self.swing_m)
             return
         missing_m = self.misses_m if self.rose else self.begin_z_m + self.lift_m - z_m
         self.because_repeated = self.is_repeated

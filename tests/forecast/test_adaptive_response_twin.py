@@ -18,7 +18,7 @@ from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN
 from .feeding import default_params
 
 PHASES = RUN, HOLD, LIFT, NONE
-ESTIMATES = "mean_m", "run_range_m", "repeats", "usual_repeats", "top_z_m", "low_z_m"
+ESTIMATES = "mean_m", "run_range_m", "top_z_m", "low_z_m"
 STANDOFF_M, SIGMA_M, GAP_S = 0.1, 2.5e-4, 0.2
 
 
@@ -48,19 +48,25 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
             noisy = rng.random() < 0.7
             twin.applied = rng.random() < 0.8
             disobeys = rng.random() < 0.1  # another controller moves the tool up
+        adaptive["setpoint"]["t_ns"] = int(twin.applied)
         t_ns += round(1e9 * (GAP_S * 2 if rng.random() < 2e-3 else interval_s))
         ground += slope * interval_s
         read = (z - ground if stuck is None else stuck) + SIGMA_M * rng.standard_normal() * noisy
         read += 0.02 * (rng.random() < 5e-3)
+        descent, twin.descent_m = adaptive["descent"], None
+        descent["tested_m"] = 0.0
+        if k > 10 and rng.random() < 4e-3:  # one that its ranges do not explain
+            twin.descent_m = low, high = twin.mean_m - 2e-3 * rng.random(), twin.mean_m + 2e-3 * rng.random()
+            descent["least_m"], descent["most_m"], descent["tested_m"] = low, high, 0.5 * (high - low)
         observe_response(params, adaptive, t_ns, read, z, GAP_S)
         twin.observe(t_ns, read, z)
-        record = adaptive["response"]
+        record, repeats = adaptive["response"], adaptive["repeats"]
         assert PHASES[record["phase"]] == twin.phase, (seed, k)
         assert is_unresponsive(record) == (twin.phase == NONE)
-        assert record["unused"] == twin.unused, (seed, k)
-        in_kernel.append([record[n] for n in ESTIMATES])
+        assert repeats["unused"] == twin.unused, (seed, k)
+        in_kernel.append([repeats["count"], repeats["usual"], *(record[n] for n in ESTIMATES)])
         in_twin.append(
-            (twin.mean_m, twin.run_m, twin.repeats, twin.usual_repeats, twin.top_z_m, twin.low_z_m)
+            (twin.repeats, twin.usual_repeats, twin.mean_m, twin.run_m, twin.top_z_m, twin.low_z_m)
         )
         target = z + STANDOFF_M - read
         lowest, highest = setpoint_range(params, record, STANDOFF_M)
@@ -70,7 +76,6 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         z += (asked - z) * min(1.0, interval_s / tau_s)
         z += 0.2 * interval_s * disobeys
         twin.setpoint_m = adaptive["setpoint"]["position_m"] = asked
-        adaptive["setpoint"]["t_ns"] = int(twin.applied)
         twin.climb_mps = adaptive["kinematics"]["climb_mps"] = float(rng.choice([0.0, 0.1]))
         seen.add((twin.phase, twin.phase in (HOLD, LIFT) and twin.rose))
     # a row for each sample

@@ -29,6 +29,7 @@ OWNERS = {
     "health": "health",
     "response": "response",
     "descent": "descent",
+    "repeats": "repeated_ranges",
     "prediction": "range_prediction",
     "noise": "noise",
     "pending": "pending_samples",

@@ -48,6 +48,34 @@ def test_ranges_that_depend_on_nothing_are_named_before_the_tool_is_down(unseen_
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("period_s", [0.5, 1.0])
+def test_a_hose_below_the_sensor_does_not_lead_the_tool_into_the_ground(period_s, seed):
+    """GIVEN a range that sways by 5 mm around 105 mm WHEN it has led the tool deep THEN it is found out."""
+
+    def read(t, r, rng):
+        return noisy(t, r, rng) if t < 2.0 else 0.105 + 0.005 * math.sin(2.0 * math.pi * t / period_s)
+
+    heights, _, states = closed_loop(
+        lambda x: 0.01 * math.sin(12.0 * x), read, seconds=12.0, seed=seed, speed=0.05
+    )
+    assert heights.min() > 0.3 * STANDOFF_M
+    assert np.mean([s["health"] == "STUCK" for s in states[400:]]) > 0.6
+
+
+@pytest.mark.parametrize("interval_ms", [4, 20])
+def test_a_long_fall_is_followed_although_its_ranges_are_long(interval_ms):
+    """GIVEN a range that is 3 % too long WHEN the ground falls by 30 % THEN tests are answered, and rare."""
+
+    def read(t, r, rng):
+        return noisy(t, r + 0.003, rng) if round(1e3 * t) % interval_ms == 0 else math.nan
+
+    heights, phases, states = closed_loop(lambda x: -0.3 * x, read, seconds=10.0, speed=0.2)
+    assert not any(s["health"] == "STUCK" for s in states)
+    assert heights.max() < 1.2 * STANDOFF_M
+    assert np.mean(np.array(phases) != 0) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_a_stop_for_descents_ends_them_and_can_be_reset(seed):
     """GIVEN a configuration that names the cause WHEN the sensor reads a hose THEN the tool stays up."""
     f = standard()
@@ -111,24 +139,28 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
     speed = float(rng.uniform(0.0, 0.3))
     a["kinematics"]["speed_mps"] = speed
     band, z, kept, falls = 3.0 * 2e-4 / math.sqrt(8.0), 0.0, [], 0
-    mean = low = high = math.nan
+    slope = float(rng.choice([0.0, 0.5]))
+    a["estimate"]["slope_power"] = slope * slope
+    mean = low = high = floor = top = math.nan
+    reach, tests = 0.1 * STANDOFF_M, 0
     for k in range(1, 1500):
         z -= 3e-4 * float(rng.random() - 0.2)
-        z += 0.01 * float(rng.random() < 0.005)
-        r = STANDOFF_M + 0.004 + 0.003 * math.sin(0.05 * k) + 1e-3 * float(rng.standard_normal())
+        z += 0.01 * float(rng.random() < 0.002)
+        r = STANDOFF_M + 0.006 + 0.003 * math.sin(0.05 * k) + 1e-3 * float(rng.standard_normal())
         a["sample"]["lead_m"] = 0.05 * (k % 40 < 10)  # at times it leads
         observe_descent(params, a, k * 4 * MS, r, z)
         if k == 1:
             mean = low = high = r
+            floor = top = z
         mean += (r - mean) / 8.0
         low = min(low + (mean - low) / 500.0, mean)
         high = max(high + (mean - high) / 500.0, mean)
-        heights = [h for h, _ in kept]
-        fall = heights[0] - min(heights) if kept else 0.0
-        if not kept or z - min(heights) > min(fall, max(4.0 * band, 0.1 * fall)):
-            kept = []
+        heights = [top, *(h for h, _ in kept)]
+        fall = top - min(heights)
+        if z - min(heights) > min(fall, max(4.0 * band, 0.1 * fall)):
+            floor, top, kept, reach = min(floor, *heights), z, [], 0.1 * STANDOFF_M
         kept.append((z, r))
-        error, fall = 0.0, kept[0][0] - z
+        error, fall = 0.0, top - z
         for n, (_, x) in enumerate(kept, start=1):
             error += (x - STANDOFF_M - error) / min(n, 64)
         spread = max(0.5 * (high - low), band)
@@ -138,11 +170,22 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
             and fall > 3.0 * error
             and error * fall > 0.36 * spread * STANDOFF_M
             and fall > 0.2 * speed * 4e-3 * len(kept)
+            and fall > reach
             and k % 40 >= 10
         )
         assert a["descent"]["unexplained"] == expected, k
+        deep = z < floor - reach and fall > 2.0 * slope * speed * 4e-3 * len(kept)
+        to_test = expected and deep and spread < 0.1 * STANDOFF_M
+        assert a["descent"]["tested_m"] == pytest.approx(spread if to_test else 0.0), k
+        if to_test:  # the response begins the test, which is short here
+            reach *= 2.0
+            floor, top, kept = min(floor, z, *(h for h, _ in kept)), z, []
+            a["response"]["swing_m"] = spread
+            observe_descent(params, a, (k * 4 + 1) * MS, r, z)
+            a["response"]["swing_m"] = 0.0
         falls += expected
-    print(f"seed {seed}: {falls} samples unexplained")
+        tests += to_test
+    print(f"seed {seed}: {falls} samples unexplained, {tests} tests")
 
 
 @pytest.mark.parametrize("gap_at_s", [3.0, 3.5, 5.0])

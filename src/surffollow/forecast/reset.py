@@ -3,6 +3,7 @@
 from surffollow.forecast.attitude.rotation_response import reset_rotation
 from surffollow.forecast.estimation.estimate import discard_estimate
 from surffollow.forecast.sensing.descent import reset_descent
+from surffollow.forecast.sensing.repeated_ranges import reset_repeats
 from surffollow.forecast.sensing.response import reset_response
 from surffollow.forecast.setpoint.setpoint_limits import release_setpoint
 from surffollow.forecast.terrain.preview import withdraw_preview
@@ -46,6 +47,7 @@ def reset_surface(adaptive):
     discard_estimate(adaptive.estimate)
     adaptive.estimate.confirmed_ns = 0  # the loss time-out counts from the next sample
     reset_response(adaptive.response)
+    reset_repeats(adaptive.repeats)
     reset_descent(adaptive.descent)
     reset_rotation(adaptive.rotation)
     release_setpoint(adaptive.setpoint)

@@ -31,6 +31,7 @@ from surffollow.shm.layout_adaptive_sensing import (
     Lookahead,
     Plane,
     Prediction,
+    Repeats,
     Response,
     Rotation,
     Sample,
@@ -172,6 +173,7 @@ class AdaptiveState(Schema):
     sample = Nested(Sample)
     health = Nested(Health)
     response = Nested(Response)
+    repeats = Nested(Repeats)
     descent = Nested(Descent)
     prediction = Nested(Prediction)
     noise = Nested(Noise)

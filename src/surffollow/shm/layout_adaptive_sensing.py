@@ -110,13 +110,19 @@ class Response(Schema):
     missing_m = F64(unit="m", doc="by which the tool misses a lift; of an ascent, a running mean")
     test_z_m = F64(unit="m", doc="height of the tool when the phase of the test began")
     test_ns = I64(unit="ns", doc="when phase or shift began")
+    swing_m = F64(unit="m", doc="half the spread of the ranges in a descent that is tested; 0: another test")
     settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")
-    repeats = I64(doc="ranges in a row that repeat the first of them")
-    repeat_z_m = F64(unit="m", doc="height of the tool then")
-    unused = I64(doc="1: the newest range repeats although the tool has moved, and is not used")
-    repeat_m = F64(unit="m", doc="that range")
-    usual_repeats = F64(doc="longest such run lately")
     repeated = I64(doc="1: the test is there because the range is repeated")
+
+
+class Repeats(Schema):
+    """Ranges in a row that repeat the first of them (`repeated_ranges`)."""
+
+    count = I64(doc="their number")
+    range_m = F64(unit="m", doc="the first of them")
+    tool_z_m = F64(unit="m", doc="height of the tool then")
+    usual = F64(doc="longest such run lately")
+    unused = I64(doc="1: the newest range repeats although the tool has moved, and is not used")
 
 
 class Descent(Schema):
@@ -126,12 +132,18 @@ class Descent(Schema):
     samples = I64(doc="samples in it")
     top_z_m = F64(unit="m", doc="height of the tool where it began")
     low_z_m = F64(unit="m", doc="least height since then")
+    floor_z_m = F64(unit="m", doc="least height before it")
+    reach_m = F64(unit="m", doc="shorter descents are explained; grows with each test that is answered")
+    slope = F64(doc="RMS slope of the ground where it began")
     travel_m = F64(unit="m", doc="distance travelled since then")
     error_m = F64(unit="m", doc="mean of range minus stand-off since then")
     range_m = F64(unit="m", doc="running mean of the range")
     least_m = F64(unit="m", doc="least of these means; fades toward them")
     most_m = F64(unit="m", doc="greatest of these means; fades toward them")
     unexplained = I64(doc="1: the ranges do not explain the descent")
+    tested_m = F64(
+        unit="m", doc="half the spread of the ranges, if the descent is to be tested; 0: it is not"
+    )
 
 
 class Prediction(Schema):

@@ -4,35 +4,50 @@ A sensor that sees something else than the ground (a hose that sways below it, a
 that vary, and do not depend on the tool. Where their mean is longer than the stand-off, the tool descends and
 descends. Over ground that stays, a descent makes the range shorter, and ends after two mean errors at most.
 Over ground that falls, the mean error is small beside the spread of the ranges. The health is SUSPECT when
-neither is so, and the ground would be steep.
+neither is so, and the ground would be steep. Below the lowest ground so far such a descent is tested
+(`response`).
 """
+
+import math
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
-from surffollow.forecast.sensing.mean_range import mean_band_m, mean_samples
+from surffollow.forecast.sensing.mean_range import MIN_READINGS, mean_band_m, mean_samples
 from surffollow.forecast.sensing.response import ERROR_MOTION, MOTION_BANDS
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
 RETURN_SHARE = 0.1  # of a fall: a tool that has risen by more begins another descent
 FALL_ERRORS = 3.0  # mean errors in a fall over ground that stays: two at most
 LEAST_ERROR = 0.02  # of the stand-off: less takes a descent of fifty errors or more to the ground
 ERROR_MEANS = 8.0  # mean ranges in the mean error
 SPREAD_TAUS = 50.0  # in which the spread of the ranges fades
+STEEPER = 2.0  # than the RMS slope before the descent: ground that was steep may fall as steeply
+TESTED_SHARE = 0.1  # of the stand-off below the lowest ground; and of a spread that an answer can exceed
 
 
 @jit
-def begin_descent(descent, tool_z_m):
-    """Begin at this height without a range; the spread of the ranges stays."""
+def begin_descent(adaptive, tool_z_m, reach_m):
+    """Begin at this height without a range; shorter descents than `reach_m` are taken as explained."""
+    descent = adaptive.descent
+    descent.floor_z_m, descent.reach_m = min(descent.floor_z_m, descent.low_z_m), reach_m
+    descent.slope = math.sqrt(adaptive.estimate.slope_power)
     descent.samples, descent.error_m, descent.travel_m = 0, 0.0, 0.0
     descent.top_z_m = descent.low_z_m = tool_z_m
 
 
 @jit
 def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
-    """Update the descent with a sample of channel 0, and whether it is unexplained.
+    """Update the descent with a sample of channel 0: whether it is unexplained, and is to be tested.
 
-    With mean error e, fall Δz, spread ±B of the ranges, stand-off s₀ and the distance d travelled:
-    e > 0.02 s₀, Δz > 3 e, e Δz > 0.36 B s₀, Δz > 0.2 d.
+    With mean error e, fall Δz, spread ±B of the ranges, stand-off s₀, RMS slope m before the descent and the
+    distance d travelled it is unexplained if
+
+        e > 0.02 s₀, Δz > 3 e, e Δz > 0.36 B s₀, Δz > 0.2 d, Δz > L
+
+    It is to be tested L below the lowest height before, if B < 0.1 s₀ and Δz > 2 m d, and the test ends it.
+    L is 0.1 s₀, and twice as much behind each test that the range answers, until the tool rises. With two
+    samples in τ the tool would lag too far behind falling ground in a test.
 
     Parameters
     ----------
@@ -41,12 +56,16 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     range_m : float64    range [m]
     tool_z_m : float64   height of the tool at that time [m]
     """
-    descent, number = adaptive.descent, mean_samples(adaptive)
+    descent, number, share_m = adaptive.descent, mean_samples(adaptive), TESTED_SHARE * params.offset_m
     band = mean_band_m(max(adaptive.noise.sigma_m, MIN_NOISE_M), number)
     if descent.t_ns == 0 or not 0 < t_ns - descent.t_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
-        begin_descent(descent, tool_z_m)
-    descent.t_ns = t_ns
+        descent.floor_z_m = descent.low_z_m = tool_z_m
+        begin_descent(adaptive, tool_z_m, share_m)
+    descent.t_ns, descent.tested_m = t_ns, 0.0
+    if adaptive.response.swing_m > 0.0:  # in its test
+        begin_descent(adaptive, tool_z_m, descent.reach_m)
+        return
     descent.range_m += (range_m - descent.range_m) / number
     interval_s = adaptive.prediction.interval_s
     fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
@@ -54,7 +73,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     descent.most_m = max(descent.most_m + fade * (descent.range_m - descent.most_m), descent.range_m)
     fall_m, rise_m = descent.top_z_m - descent.low_z_m, tool_z_m - descent.low_z_m
     if rise_m > min(fall_m, max(MOTION_BANDS * band, RETURN_SHARE * fall_m)):
-        begin_descent(descent, tool_z_m)
+        begin_descent(adaptive, tool_z_m, share_m)
     descent.low_z_m = min(descent.low_z_m, tool_z_m)
     descent.samples += 1
     newest = min(float(descent.samples), ERROR_MEANS * number)
@@ -65,12 +84,18 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     least_m = max(band, LEAST_ERROR * params.offset_m)
     long = descent.samples > 2.0 * number and error_m > least_m and fall_m > FALL_ERRORS * error_m
     great = error_m * fall_m > ERROR_MOTION * spread_m * params.offset_m
-    steep = fall_m > PLAUSIBLE_SLOPE * descent.travel_m
+    steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
     below = abs(adaptive.sample.lead_m) < APART_M
     descent.unexplained = 1 if long and great and steep and below else 0
+    steeper = fall_m > STEEPER * descent.slope * descent.travel_m
+    deep = tool_z_m < descent.floor_z_m - descent.reach_m
+    answers = number > MIN_READINGS and spread_m < share_m  # the test is short, and its answer stands out
+    if descent.unexplained and steeper and deep and answers and adaptive.response.phase == RESPONSE_RUN:
+        descent.tested_m, descent.reach_m = spread_m, 2.0 * descent.reach_m
 
 
 @jit
 def reset_descent(descent):
     """Begin anew with the next sample."""
     descent.t_ns = descent.unexplained = 0
+    descent.tested_m = 0.0

@@ -38,7 +38,7 @@ def is_dropout(adaptive):
 @jit
 def is_stuck(adaptive):
     """Whether the range did not respond to a test, or repeats itself for as long as a drop-out lasts."""
-    repeats = adaptive.response.unused != 0 and is_missing(adaptive, adaptive.estimate.accepted_ns)
+    repeats = adaptive.repeats.unused != 0 and is_missing(adaptive, adaptive.estimate.accepted_ns)
     return repeats or is_unresponsive(adaptive.response)
 
 
@@ -142,7 +142,7 @@ def present_health(params, adaptive, silent, left_out):
         (silent != 0, layout.REASON_SILENT | silent_bits),
         (left_out != 0, layout.REASON_LEFT_OUT | left_out << layout.REASON_CHANNELS),
         (is_late(params, adaptive), layout.REASON_LATE),
-        (adaptive.response.unused != 0, layout.REASON_REPEATED),
+        (adaptive.repeats.unused != 0, layout.REASON_REPEATED),
         (adaptive.descent.unexplained != 0, layout.REASON_DESCENT),
         (adaptive.pending.samples > 0, layout.REASON_PENDING),
     ):

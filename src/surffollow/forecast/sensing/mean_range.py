@@ -2,6 +2,7 @@
 
 from surffollow.shm.jit import jit
 
+RUN_SAMPLES = 64  # in the mean of a run of constant ranges, and runs in the usual length of repeated ranges
 MIN_READINGS, MAX_READINGS = 2.0, 8.0  # samples in the mean range: those of a time constant
 BAND_SIGMAS = 3.0  # of the mean: the range has changed; of a sample, which moves the mean by no more
 TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it

@@ -45,7 +45,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     if not is_new:
         return
     responds, t = observe_sensor(params, adaptive, sense, t, range_m, orients, pose)
-    if t <= adaptive.estimate.sample_ns or not responds or adaptive.response.unused != 0:
+    if t <= adaptive.estimate.sample_ns or not responds or adaptive.repeats.unused != 0:
         return
     x, y, h, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
     close = health.count_close(adaptive.health, range_m < params.too_close_m)

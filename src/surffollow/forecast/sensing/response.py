@@ -8,19 +8,22 @@ descent with a constant range that is not the wanted one, or that is repeated, i
 rises (`RESPONSE_LIFT`), and the range must follow. In a longer motion the setpoint is first shifted up by a
 little more than the noise hides. A range that grows by the shift ends the run. An ascent leads away from the
 ground: it is tested by that shift, and then by a greater one, but never held.
+A descent in which the range varies, and that it does not explain (`descent`), is tested likewise. The range
+must then change by more than it varied.
 """
 
-from surffollow.forecast.estimation.innovation_gate import gate_width
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.quantities import APART_M, REPEAT_BAND
+from surffollow.forecast.quantities import APART_M
 from surffollow.forecast.sensing.mean_range import (
     BAND_SIGMAS,
     MAX_READINGS,
     MIN_READINGS,
+    RUN_SAMPLES,
     TEST_BAND_FACTOR,
     mean_band_m,
     mean_samples,
 )
+from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import (
     RESPONSE_FAILED,
@@ -38,11 +41,11 @@ MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before 
 SHIFT_BANDS = 2.0  # … by so many bands
 ASCENT_SHARE = 0.25  # of an ascent counts
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
-REPEAT_RATIO = 2.0  # in usual runs of repeated ranges: a longer one, of a mean at least, is a sign of a fault
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
 USUAL_SPREAD_SAMPLES = 256  # in that deviation
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
-RUN_SAMPLES = 64  # in the mean of a run, and runs in the usual length of repeated ranges
+# times the half spread of the ranges before the test of a descent: the answer to a lift, and the lift
+SWINGS = (3.0, 4.5)
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
 # of a lift: a tool that misses less has obeyed it. In an ascent the setpoint of one that does not obey stays
 # ahead by all of it
@@ -55,7 +58,7 @@ def _begin_run(params, adaptive, tool_z_m):
     """Begin a run of constant ranges at the present mean, over the present slope, for this stand-off."""
     response = adaptive.response
     response.slope, response.standoff_m = adaptive.estimate.slope, params.offset_m
-    response.phase, response.run_samples, response.lift_m = RESPONSE_RUN, 0, 0.0
+    response.phase, response.run_samples, response.lift_m, response.swing_m = RESPONSE_RUN, 0, 0.0, 0.0
     response.run_range_m = response.mean_m
     response.top_z_m = response.low_z_m = tool_z_m
     response.rate_mps = 0.0
@@ -75,28 +78,6 @@ def _begin_phase(response, phase, t_ns, tool_z_m, lift_m):
     """
     response.phase, response.test_ns, response.test_z_m, response.lift_m = phase, t_ns, tool_z_m, lift_m
     response.missing_m = lift_m
-
-
-@jit
-def _count_repeats(params, adaptive, range_m, tool_z_m):
-    """Count ranges in a row that repeat the first one, and update the usual number of a good sensor.
-
-    Repeats that end with an outlier may have been a loss, unless they are frequent: some sensors hold ranges.
-    """
-    response, change_m = adaptive.response, abs(range_m - adaptive.response.repeat_m)
-    if response.repeats > 0 and change_m <= REPEAT_BAND * adaptive.noise.sigma_m:
-        response.repeats += 1
-        return
-    more, outlier = response.repeats - response.usual_repeats, change_m > gate_width(params, adaptive)
-    if response.phase == RESPONSE_RUN:
-        response.usual_repeats += more / (RUN_SAMPLES if more < 0.0 else 8.0 if outlier else 1.0)
-    response.repeats, response.repeat_m, response.repeat_z_m = 1, range_m, tool_z_m
-
-
-@jit
-def _repeats(response):
-    """Whether the newest ranges are repeated far more often than usual."""
-    return response.repeats >= max(REPEAT_RATIO * response.usual_repeats, MAX_READINGS)
 
 
 @jit
@@ -120,11 +101,15 @@ def _update_mean(response, range_m, sigma_m, number):
 
 
 @jit
-def _responds(response, band_m):
+def _responds(adaptive, band_m):
     """Whether the mean range has left the band of the run, or a range that was repeated has changed."""
-    factor = 1.0 if response.phase == RESPONSE_RUN else TEST_BAND_FACTOR
-    changed = response.phase != RESPONSE_RUN and response.repeated != 0 and response.repeats == 1
-    return abs(response.mean_m - response.run_range_m) > factor * band_m or changed
+    response = adaptive.response
+    if response.phase == RESPONSE_RUN:
+        least_m, changed = band_m, False
+    else:
+        least_m = max(TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
+        changed = response.repeated != 0 and adaptive.repeats.count == 1
+    return abs(response.mean_m - response.run_range_m) > least_m or changed
 
 
 @jit
@@ -165,7 +150,7 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
     rises = ASCENT_SHARE * ascent > descent and descent < band_m  # it has not turned down since
     response.rate_mps += (abs(adaptive.kinematics.climb_mps) - response.rate_mps) / response.run_samples
-    rate, repeats = response.rate_mps, _repeats(response)
+    rate, repeats = response.rate_mps, is_repeated(adaptive.repeats)
     if response.run_samples <= MIN_MEANS * number:
         return
     if rises and number <= MIN_READINGS and not repeats:  # the ground changes while an answer is awaited
@@ -193,6 +178,17 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
         _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m, lift_m)
     elif not rises and (late or suspicious or far):
         _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m, 0.0)
+
+
+@jit
+def _test_descent(params, adaptive, t_ns, tool_z_m):
+    """Hold the tool in a descent that the ranges do not explain; the middle of their spread must change."""
+    response, descent = adaptive.response, adaptive.descent
+    _begin_run(params, adaptive, tool_z_m)
+    response.run_range_m, response.run_samples = 0.5 * (descent.most_m + descent.least_m), RUN_SAMPLES
+    response.swing_m = descent.tested_m
+    response.rises = response.repeated = 0
+    _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m, 0.0)
 
 
 @jit
@@ -233,12 +229,13 @@ def _update_test(params, adaptive, t_ns, tool_z_m, number, band_m):
     if late_s <= (longest_s if rises else 0.0):
         return
     if response.phase == RESPONSE_HOLD:
-        _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m, MOTION_BANDS * band_m)
+        lift_m = max(MOTION_BANDS * band_m, SWINGS[1] * response.swing_m)
+        _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m, lift_m)
         return
     if not rises:
         response.missing_m = response.test_z_m + response.lift_m - tool_z_m
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
-    response.repeated = 1 if _repeats(response) else 0
+    response.repeated = 1 if is_repeated(adaptive.repeats) else 0
     if response.repeated != 0 or (applied and response.missing_m < OBEYED[response.rises] * response.lift_m):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
@@ -263,23 +260,18 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     begins = response.t_ns == 0 or t_ns < response.t_ns
     paused, response.t_ns = (t_ns - response.t_ns) * 1e-9 > gap_s, t_ns
     response.test_ns = t_ns if paused else response.test_ns  # an answer takes time with samples
-    _count_repeats(params, adaptive, range_m, tool_z_m)
-    # chance makes four of a row now and then; without noise, or before it is known, ranges stay for long
-    often = response.repeats >= max(REPEAT_RATIO * response.usual_repeats, 5.0) and sigma > MIN_NOISE_M
-    known = adaptive.weights.scored > 100 and response.usual_repeats > 0.0
-    if response.repeats == 1:
-        response.unused = 0
-    elif often and known and abs(tool_z_m - response.repeat_z_m) > band:
-        response.unused = 1
+    count_repeats(params, adaptive, range_m, tool_z_m, band)
     _update_mean(response, range_m, sigma, number)
-    if begins or _responds(response, band):
+    if begins or _responds(adaptive, band):
         tested = response.phase != RESPONSE_RUN or response.lift_m > 0.0
         back_s = stop_s(adaptive) + number * adaptive.prediction.interval_s if tested and not begins else 0.0
         response.settled_ns = t_ns + int(1e9 * back_s)
         if begins or abs(range_m - response.mean_m) > BAND_SIGMAS * sigma:  # of a step the mean sees a part
             response.mean_m = range_m
         _begin_run(params, adaptive, tool_z_m)
-    elif response.phase == RESPONSE_RUN and t_ns < response.settled_ns and not _repeats(response):
+    elif response.phase == RESPONSE_RUN and adaptive.descent.tested_m > 0.0:
+        _test_descent(params, adaptive, t_ns, tool_z_m)
+    elif response.phase == RESPONSE_RUN and t_ns < response.settled_ns and not is_repeated(adaptive.repeats):
         _begin_run(params, adaptive, tool_z_m)  # the tool is on its way back from a test
     elif response.phase == RESPONSE_RUN:
         _update_run(params, adaptive, t_ns, tool_z_m, number, band)
@@ -296,5 +288,4 @@ def is_unresponsive(response):
 @jit
 def reset_response(response):
     """Begin anew with the next sample."""
-    response.t_ns = response.repeats = response.unused = 0
-    response.phase = RESPONSE_RUN
+    response.t_ns, response.phase = 0, RESPONSE_RUN
