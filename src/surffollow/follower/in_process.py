@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, names_given
+from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.config.window_fit import FITTED, check_fit
 from surffollow.errors import PoseError, UsageError
 from surffollow.follower.kernel_time import PoseIntervals, kernel_time
@@ -26,7 +27,7 @@ from surffollow.follower.reading_stamps import Timestamps
 from surffollow.follower.setup import Config, read_setup
 from surffollow.follower.state_report import state_report
 from surffollow.forecast.horizon import forecast_range
-from surffollow.forecast.pose import MAX_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
+from surffollow.forecast.pose import NO_POSE, TAKEN, TOO_FAR, report_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.forecast.terrain.terrain_memory import new_memory, read_preview, store_footprint
 from surffollow.shm.dtypes import zeros

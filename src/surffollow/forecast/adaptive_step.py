@@ -8,6 +8,7 @@ import math
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
 from surffollow.forecast.estimation import adaptation
+from surffollow.forecast.modes import orients
 from surffollow.forecast.plant import axis_model, controller_clock, plant_identification
 from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
@@ -55,8 +56,7 @@ def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     float64 [m], bool
     """
     blend, now_ns = adaptive.blend, adaptive.clock.now_ns
-    call_s = preview.plan_call_s(adaptive)
-    due = controller_clock.period_is_due(adaptive.controller, call_s, inputs.n_ranges, now_ns)
+    due = controller_clock.period_is_due(adaptive, inputs, now_ns)
     if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
         target = setpoint_blend.blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
     else:
@@ -75,12 +75,10 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     ahead_m : float64     distance from `distance_ahead` [m]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    motion, controller, now_ns = adaptive.kinematics, adaptive.controller, adaptive.clock.now_ns
-    call_s = preview.plan_call_s(adaptive)
-    latch_ns = controller_clock.open_period(controller, call_s, inputs.n_ranges, now_ns)
+    motion, latch_ns = adaptive.kinematics, controller_clock.open_period(adaptive, inputs)
     since_pose_m = motion.speed_mps * (latch_ns - pose_t_ns) * 1e-9
-    wait_s = controller_clock.mean_wait_s(params, controller)
-    ahead_m += motion.speed_mps * ((latch_ns - now_ns) * 1e-9 - wait_s)
+    wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
+    ahead_m += motion.speed_mps * ((latch_ns - adaptive.clock.now_ns) * 1e-9 - wait_s)
     known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
     if preview.update_share(adaptive, known, plant_identification.model_error(adaptive.plant)):
         z, v = plant_identification.predict_axis(params, adaptive, latch_ns)
@@ -132,15 +130,14 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     estimate, controller, setpoint = adaptive.estimate, adaptive.controller, adaptive.setpoint
     newest = newest_pose(sense)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
-    orients = params.orient != 0 and params.n_channels >= 3
     if clock.update_clock(adaptive.clock, inputs.t_ns, pose_t_ns):
         return health.forget(adaptive.health, layout_adaptive.FAULT_CLOCK)
     if kinematics.update_kinematics(params, adaptive.kinematics, sense):
         setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
     applied = params.run == layout.RUN_NORMAL
     plant_identification.update_plant(params, adaptive, sense, inputs.n_ranges, params.adapt != 0 and applied)
-    measurement.process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
-    if not orients and params.n_channels > 1:
+    measurement.process_sample(params, adaptive, sense, fold, inputs, output, pose)
+    if not orients(params) and params.n_channels > 1:
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
     stuck = health.is_stuck(adaptive)
     health.update_health(params, adaptive, sense)
@@ -163,7 +160,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         setpoint_limits.mark_dryrun(setpoint, 0)
         setpoint_limits.release_setpoint(setpoint)
         attitude.release_attitude(adaptive.attitude)
-    standoff_m = standoff.standoff_height(params, adaptive.plane, sense, orients)
+    standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     ahead = distance_ahead(params, adaptive, sense)
     answered = controller_clock.observe_latch(controller, inputs, sense.pose_count, adaptive.clock.now_ns)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
@@ -186,7 +183,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         limited = fold_back.lead_away(params, limited)
         attitude.release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     output.demand[2] = limited
-    if close == 0 and not stuck and orients and adaptive.plane.count > 0:
+    if close == 0 and not stuck and orients(params) and adaptive.plane.count > 0:
         attitude.demand_rotation(params, adaptive, sense, output)
     plant_identification.record_own_setpoint(adaptive, answered, tool_z + (limited if applied else 0.0))
     if params.run == layout.RUN_DRYRUN:

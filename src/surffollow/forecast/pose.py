@@ -5,12 +5,11 @@ A pose is seven numbers, x y z [m] and a unit quaternion qx qy qz qw.
 
 import math
 
+from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
 from surffollow.forecast.sensing.clock import clock_jump_ns
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
-QUATERNION_TOLERANCE = 1e-3
-MAX_POSITION_M = 1e9  # as the service's client
 TAKEN, NO_POSE, TOO_FAR = 1, 2, 3  # what `report_pose` finds
 
 
@@ -118,7 +117,7 @@ def report_pose(state, step_ns, t_ns, pose):
     int64  TAKEN; 0: refused, not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
     """
     norm = math.sqrt(pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6])
-    if not (math.isfinite(pose[0] + pose[1] + pose[2]) and abs(norm - 1.0) <= QUATERNION_TOLERANCE):
+    if not (math.isfinite(pose[0] + pose[1] + pose[2]) and abs(norm - 1.0) <= NORM_TOLERANCE):
         return NO_POSE
     if not max(abs(pose[0]), abs(pose[1]), abs(pose[2])) <= MAX_POSITION_M:
         return TOO_FAR

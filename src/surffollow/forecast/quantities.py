@@ -15,5 +15,4 @@ FULL_POWER_SAMPLES = 500  # for the full power of the performance index; a rest 
 PLAUSIBLE_SLOPE = 0.2  # of ground that nothing is known of
 MAX_SLOPE = 3.0  # 72 degrees: steeper is no surface that a tool follows
 APART_M = 5e-3  # footprints so far apart are of two places: one leads, is off the path, gives a slope
-GATE_SCALES = 8.0  # in usual deviations: what deviates more is an outlier
 REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from surffollow.shm.schema import F64, I64, Schema
 
-N_MODELS, WAVES = 20, 12  # of the bank; from number WAVES on they are waves, the others may lead less
+# models of the bank: levels and slopes, from number CURVES on curves, from WAVES on waves; waves lead fully
+N_MODELS, CURVES, WAVES = 20, 9, 12
 N_AXES = N_MODELS + WAVES  # simulated: of all models with their lead, of those that may lead less without it
 N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed

@@ -33,13 +33,13 @@ def plane_height(params, adaptive, t_ns, x_m, y_m):
     accepted = beam_detection.isolate_faults(params, adaptive, t_ns, x_m, y_m)
     if accepted == 0:
         return 0, 0.0
-    mx, my, mh = update_plane(params, adaptive, dt)
+    fit = update_plane(params, adaptive, dt)
     follow_track(adaptive, dt)
     if plane.first_ns == 0 or t_ns < plane.first_ns:
         plane.first_ns = t_ns
     if plane.count == 0 and t_ns - plane.first_ns < MAX_GAP_NS:
         return 0, 0.0  # the height by one beam on a slope is wrong: wait for the others
-    return accepted, mh - plane.slope_x * (mx - x_m) - plane.slope_y * (my - y_m)
+    return accepted, fit.h_m - plane.slope_x * (fit.x_m - x_m) - plane.slope_y * (fit.y_m - y_m)
 
 
 @jit
@@ -76,7 +76,7 @@ def shift_slopes(plane, dx, dy):
 
 @jit
 def update_plane(params, adaptive, dt):
-    """Update slopes, rates and curvature with the accepted beams; returns the mean of their footprints [m].
+    """Update slopes, rates and curvature with the accepted beams; returns the regression on these.
 
     The first planes have the full gain. Slopes that are not observed are kept, without a rate.
 
@@ -87,20 +87,21 @@ def update_plane(params, adaptive, dt):
 
     Returns
     -------
-    3 × float64 [m]
+    PlaneFit
     """
     beams, plane = adaptive.beams, adaptive.plane
-    rank, mx, my, mh, ux, uy, along, across, spread_m2, _ = plane_regression.fit_plane(
-        beams, beams.weight, params.n_channels, plane.curvature, adaptive.noise.sigma_m
-    )
-    plane.rank = rank if beams.inconsistent == 0 else 0
-    along -= plane.slope_x * ux + plane.slope_y * uy
-    across = across - plane.slope_y * ux + plane.slope_x * uy if plane.rank == 2 else 0.0
+    n, sigma_m = params.n_channels, adaptive.noise.sigma_m
+    fit = plane_regression.fit_plane(beams, beams.weight, n, plane.curvature, sigma_m)
+    plane.rank = fit.rank if beams.inconsistent == 0 else 0
+    ux, uy = fit.ux, fit.uy
+    along = fit.along - (plane.slope_x * ux + plane.slope_y * uy)
+    across = fit.across - plane.slope_y * ux + plane.slope_x * uy if plane.rank == 2 else 0.0
     ex, ey = along * ux - across * uy, along * uy + across * ux
     share = slope_gain(dt)
     if plane.rank == 2:
-        plane.fitted_x, plane.fitted_y, plane.spread_m2 = plane.slope_x + ex, plane.slope_y + ey, spread_m2
-        error = plane_regression.curvature_error(beams, plane, params.n_channels, mx, my, mh)
+        plane.fitted_x, plane.fitted_y = plane.slope_x + ex, plane.slope_y + ey
+        plane.spread_m2 = fit.spread_m2
+        error = plane_regression.curvature_error(beams, plane, n, fit)
         plane.curvature += min(2.5 * dt, 0.5) * error  # a mean over 0.4 s
         rate_gain_hz = 0.25 * share * share / dt if dt > 0.0 else 0.0
         plane.slope_rate_x_hz += rate_gain_hz * ex
@@ -111,7 +112,7 @@ def update_plane(params, adaptive, dt):
         share = max(share, 1.0 / (plane.count + 1))
         shift_slopes(plane, share * ex, share * ey)
     plane.count += 1 if plane.rank == 2 else 0
-    return mx, my, mh
+    return fit
 
 
 @jit

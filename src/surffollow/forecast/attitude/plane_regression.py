@@ -1,9 +1,25 @@
 """Regression of a plane on the footprints of several beams."""
 
 import math
+from typing import NamedTuple
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.shm.jit import jit
+
+
+class PlaneFit(NamedTuple):
+    """A plane by regression: mean of the footprints, slopes along their principal axes, and residuals."""
+
+    rank: int  # slopes that the footprints give: 2 both, 1 along their line, 0 none
+    x_m: float
+    y_m: float
+    h_m: float
+    ux: float  # unit vector of their line
+    uy: float
+    along: float  # slopes along (ux, uy) and (-uy, ux)
+    across: float
+    spread_m2: float  # across the line
+    error_m2: float  # sum of the squared residuals
 
 
 @jit
@@ -33,11 +49,7 @@ def fit_plane(beams, weights, n_channels, curvature, sigma_m):
 
     Returns
     -------
-    rank : int                  slopes that the footprints give: 2 both, 1 along their line, 0 none
-    x, y, h : float64           their weighted mean [m]
-    ux, uy : float64            unit vector of their line
-    along, across : float64     slopes along (ux, uy) and (-uy, ux)
-    spread_m2, error_m2 : float64  spread across the line; sum of the squared residuals
+    PlaneFit
     """
     total, mx, my, mh = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
@@ -63,11 +75,11 @@ def fit_plane(beams, weights, n_channels, curvature, sigma_m):
     if minor > max(least_m2, 1e-2 * (major + minor)):  # nearly on one line they give none across it
         rank = 2
     error = hh - major * along * along - minor * across * across
-    return rank, mx, my, mh, ux, uy, along, across, minor, error
+    return PlaneFit(rank, mx, my, mh, ux, uy, along, across, minor, error)
 
 
 @jit
-def curvature_error(beams, plane, n_channels, mx, my, mh):
+def curvature_error(beams, plane, n_channels, fit):
     """Error of the mean curvature by the residuals of the plane (normalised least mean squares) [1/m].
 
     Three beams have no residuals. A ring without a beam in the middle has a single
@@ -76,14 +88,14 @@ def curvature_error(beams, plane, n_channels, mx, my, mh):
     Parameters
     ----------
     beams, plane : records of `Beams`, `Plane`
-    n_channels : int      channels in use
-    mx, my, mh : float64  mean of the footprints [m]
+    n_channels : int  channels in use
+    fit : PlaneFit    of these beams
     """
     total, mean_q, square_q, covariance = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w, q = beams.weight[c], half_squared_distance(beams, c)
-        dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
-        left = flat_height(beams, plane.curvature, c) - mh - plane.fitted_x * dx - plane.fitted_y * dy
+        dx, dy = beams.footprint_m[3 * c] - fit.x_m, beams.footprint_m[3 * c + 1] - fit.y_m
+        left = flat_height(beams, plane.curvature, c) - fit.h_m - plane.fitted_x * dx - plane.fitted_y * dy
         total, mean_q = total + w, mean_q + w * q
         square_q, covariance = square_q + w * q * q, covariance + w * q * left
     spread = square_q - mean_q * mean_q / total

@@ -2,7 +2,7 @@
 
 import math
 
-from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
+from surffollow.forecast.quantities import QUICK_RATE
 from surffollow.shm.jit import jit
 
 MIN_NOISE_M = 50e-6  # floor of the variance that the bank assumes
@@ -16,7 +16,7 @@ def update_noise(adaptive, h_m):
     noise = adaptive.noise
     if adaptive.estimate.samples > 2:
         e = abs(h_m - 2.0 * noise.recent_m[0] + noise.recent_m[1])
-        rate = min(max(2.0 / max(adaptive.weights.scored, 1), SLOW_RATE), QUICK_RATE)
+        rate = min(2.0 / max(adaptive.weights.scored, 1), QUICK_RATE)
         step = rate * max(noise.median_m, 1e-5)
         noise.median_m = max(noise.median_m + (step if e > noise.median_m else -step), 0.0)
         noise.sigma_m = MAD_TO_SIGMA * noise.median_m

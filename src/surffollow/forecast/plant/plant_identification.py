@@ -7,8 +7,6 @@ errors are equal, and the configured time constant stays.
 
 import math
 
-import numpy as np
-
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose, newest_until
@@ -18,7 +16,12 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
 
 TAU_RATIO = 1.5  # between neighbouring τ
-TAU_SHARES = TAU_RATIO ** (np.arange(N_PLANTS) - N_PLANTS // 2)  # of the configured τ
+
+
+@jit
+def time_constant_s(plant, k):
+    """Time constant of an axis model [s]; the configured one is in the middle."""
+    return plant.tau_configured_s * TAU_RATIO ** (k - N_PLANTS // 2)
 
 
 @jit
@@ -79,7 +82,7 @@ def propagate_axes(params, adaptive, to_ns):
     for n in range(steps):
         target = setpoint_in_force(plant, plant.t_ns + (span_ns * n) // steps)
         for k in range(N_PLANTS):
-            tau = plant.tau_configured_s * TAU_SHARES[k]
+            tau = time_constant_s(plant, k)
             z[k], v[k] = axis_model.step_axis(tau, v_max, a_max, z[k], v[k], target, span_ns * 1e-9 / steps)
     plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
@@ -99,7 +102,7 @@ def best_time_constant(plant):
         return 0.0
     # a parabola over √τ through three points: over τ its minimum is too high, over log τ too low
     b = min(max(best, 1), N_PLANTS - 2)
-    middle = math.sqrt(plant.tau_configured_s * TAU_SHARES[b])
+    middle = math.sqrt(time_constant_s(plant, b))
     left, right = middle / math.sqrt(TAU_RATIO), middle * math.sqrt(TAU_RATIO)
     slope_below = (plant.error_m2[b] - plant.error_m2[b - 1]) / (middle - left)
     slope_above = (plant.error_m2[b + 1] - plant.error_m2[b]) / (right - middle)

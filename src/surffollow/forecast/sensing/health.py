@@ -1,6 +1,7 @@
 """Health of the ranging: drop-outs, health states with hysteresis, latched faults."""
 
 from surffollow.forecast import quantities
+from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
@@ -11,7 +12,6 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
-ENTER_NS = 10_000_000  # a worse state is published after so long
 LEFT_OUT_NS = 500_000_000  # a beam of a plane that is not used for so long: an edge leaves out one for less
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
 
@@ -160,7 +160,8 @@ def update_health(params, adaptive, sense):
     state, reason = present_health(params, adaptive, silent, left_out)
     if state != health.candidate:
         health.candidate, health.since_ns = state, now_ns
-    wait_ns = ENTER_NS if state > health.state else quantities.PAUSE_NS
+    # a worse state is published after a controller period
+    wait_ns = int(PERIOD_S * 1e9) if state > health.state else quantities.PAUSE_NS
     if health.state < layout.DROPOUT and is_lost(params, adaptive):
         wait_ns = 0  # there is no demand: the reason is published at once
     if state == health.state or now_ns - health.since_ns >= wait_ns:

@@ -12,7 +12,7 @@ Over a slope, where the range returns to no mean, it is 0.
 
 import math
 
-from surffollow.forecast.quantities import GATE_SCALES, MAX_GAP_NS
+from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 
@@ -94,7 +94,7 @@ def update_mean(prediction, dt):
 
 
 @jit_inlined
-def update_prediction(prediction, t_ns, range_m):
+def update_prediction(params, prediction, t_ns, range_m):
     """Update level, trend, mean and interval; a single outlier is rejected, a second one is a jump."""
     dt = (t_ns - prediction.t_ns) * 1e-9
     # after five intervals, or 5 s if that is more, it begins at this range
@@ -107,7 +107,7 @@ def update_prediction(prediction, t_ns, range_m):
     unit_s, decay_s, return_s = time_constants_s(prediction)
     expected_m = predict_range(prediction, dt)
     innovation = range_m - expected_m
-    outlier = abs(innovation) > GATE_SCALES * prediction.scale_m > 0.0
+    outlier = abs(innovation) > params.gate_scales * prediction.scale_m > 0.0
     if outlier and prediction.rejected < 1:
         prediction.rejected = 1
         return
