@@ -139,22 +139,15 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     measurement.process_sample(params, adaptive, sense, fold, inputs, output, pose)
     if not orients(params) and params.n_channels > 1:
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
-    stuck = health.is_stuck(adaptive)
-    health.update_health(params, adaptive, sense)
-    if kinematics.has_jumped(adaptive.kinematics, adaptive.clock.now_ns):
-        preview.withdraw_preview(adaptive.preview)
-        known_ground.reset_known_ground(adaptive.known)
-    if stuck:
-        health.latch_fault(adaptive.health, layout_adaptive.FAULT_STUCK)
-        preview.withdraw_preview(adaptive.preview)
     close = layout.TOO_CLOSE if fold.close != 0 else 0
-    if close != 0:
-        health.latch_fault(adaptive.health, layout_adaptive.FAULT_CLOSE)
-    if health.is_lost(params, adaptive):
-        if estimate.samples > 0 and not stuck:
-            health.latch_fault(adaptive.health, layout_adaptive.FAULT_LOST)
-        setpoint_limits.release_setpoint(setpoint)
+    stuck, lost = health.update_health(params, adaptive, sense, close != 0)
+    jumped = kinematics.has_jumped(adaptive.kinematics, adaptive.clock.now_ns)
+    if jumped:
+        known_ground.reset_known_ground(adaptive.known)
+    if jumped or stuck or lost:
         preview.withdraw_preview(adaptive.preview)
+    if lost:
+        setpoint_limits.release_setpoint(setpoint)
         return layout.NO_SENSOR | layout.SENSOR_LOST | close
     if setpoint.in_dryrun != 0 and params.run != layout.RUN_DRYRUN:  # setpoints of DRYRUN were not applied
         setpoint_limits.mark_dryrun(setpoint, 0)

@@ -62,30 +62,22 @@ def is_lost(params, adaptive):
 
 @jit
 def observe_channels(params, health, sense, now_ns):
-    """Note when each channel has a reading, and the usual interval of its readings."""
-    for c in range(params.n_channels):
-        if sense.fresh[c] == 0:
-            continue
-        gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
-        if usual_ns != 0:
-            health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // quantities.USUAL_SAMPLES
-        elif health.reading_ns[c] != 0:
-            health.interval_ns[c] = gap_ns
-        health.reading_ns[c] = now_ns
-
-
-@jit
-def silent_channels(params, health, now_ns):
-    """Bit per channel of several that is without a reading as long as a drop-out is.
+    """Note when each channel has a reading; bit per channel of several without one as long as a drop-out is.
 
     The time is that of arrival: a wrong timestamp is no missing reading.
     """
     silent = 0
-    if params.n_channels > 1:
-        for c in range(params.n_channels):
-            tolerance_ns = min(DROPOUT_INTERVALS * health.interval_ns[c], quantities.LONG_GAP_NS)
-            if now_ns - health.reading_ns[c] > max(quantities.MAX_GAP_NS, tolerance_ns):
-                silent |= 1 << c
+    for c in range(params.n_channels):
+        gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
+        tolerance_ns = min(DROPOUT_INTERVALS * usual_ns, quantities.LONG_GAP_NS)
+        if sense.fresh[c] != 0:
+            if usual_ns != 0:
+                health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // quantities.USUAL_SAMPLES
+            elif health.reading_ns[c] != 0:
+                health.interval_ns[c] = gap_ns
+            health.reading_ns[c] = now_ns
+        elif params.n_channels > 1 and gap_ns > max(quantities.MAX_GAP_NS, tolerance_ns):
+            silent |= 1 << c
     return silent
 
 
@@ -111,12 +103,13 @@ def is_outside(params, adaptive):
 
 
 @jit_inlined
-def present_health(params, adaptive, silent, left_out):
+def present_health(params, adaptive, stuck, lost, silent, left_out):
     """Health and its reason without hysteresis; the gravest one.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`
+    stuck, lost : bool      as `is_stuck` and `is_lost` say
     silent, left_out : int  bit per channel without readings, and per beam that is not used
 
     Returns
@@ -126,13 +119,13 @@ def present_health(params, adaptive, silent, left_out):
     samples, silent_bits = adaptive.estimate.samples, silent << layout.REASON_CHANNELS
     if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < quantities.USUAL_SAMPLES:
         return layout.FAULT, layout.REASON_NOT_FINITE
-    if is_stuck(adaptive):
+    if stuck:
         return layout.STUCK, layout.REASON_STUCK
     if samples == 0 or is_dropout(adaptive):
         if samples > 0 and is_outside(params, adaptive):
             return layout.OUT_OF_RANGE, layout.REASON_OUTSIDE | silent_bits
         return layout.DROPOUT, layout.REASON_NO_READING | silent_bits
-    if is_lost(params, adaptive):
+    if lost:
         return layout.DROPOUT, layout.REASON_LOST | silent_bits
     for found, reason in (
         (adaptive.hold.shift_ns > 0, layout.REASON_TIMESTAMPS),
@@ -152,20 +145,34 @@ def present_health(params, adaptive, silent, left_out):
 
 
 @jit_inlined
-def update_health(params, adaptive, sense):
-    """Publish health and reason with hysteresis."""
+def update_health(params, adaptive, sense, close):
+    """Publish health and reason with hysteresis, and latch faults.
+
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (`health` updated), `SenseState`
+    close : bool  the sensor may be in its fold-back
+
+    Returns
+    -------
+    bool, bool  the range does not respond or repeats itself; there is no demand without other samples
+    """
     health, now_ns = adaptive.health, adaptive.clock.now_ns
-    observe_channels(params, health, sense, now_ns)
-    silent, left_out = silent_channels(params, health, now_ns), beams_left_out(params, adaptive)
-    state, reason = present_health(params, adaptive, silent, left_out)
+    stuck, lost = is_stuck(adaptive), is_lost(params, adaptive)
+    silent, left_out = observe_channels(params, health, sense, now_ns), beams_left_out(params, adaptive)
+    state, reason = present_health(params, adaptive, stuck, lost, silent, left_out)
     if state != health.candidate:
         health.candidate, health.since_ns = state, now_ns
     # a worse state is published after a controller period
     wait_ns = int(PERIOD_S * 1e9) if state > health.state else quantities.PAUSE_NS
-    if health.state < layout.DROPOUT and is_lost(params, adaptive):
+    if health.state < layout.DROPOUT and lost:
         wait_ns = 0  # there is no demand: the reason is published at once
     if state == health.state or now_ns - health.since_ns >= wait_ns:
         health.state, health.reason = state, reason
+    health.faults |= layout.FAULT_STUCK if stuck else 0
+    health.faults |= layout.FAULT_CLOSE if close else 0
+    health.faults |= layout.FAULT_LOST if lost and not stuck and adaptive.estimate.samples > 0 else 0
+    return stuck, lost
 
 
 @jit
@@ -173,12 +180,6 @@ def count_close(health, close):
     """Count samples in a row near the fold-back; whether they are enough to confirm it."""
     health.close_count = health.close_count + 1 if close else 0
     return health.close_count >= quantities.CONFIRMATION_SAMPLES
-
-
-@jit
-def latch_fault(health, fault):
-    """Latch a fault bit."""
-    health.faults |= fault
 
 
 @jit

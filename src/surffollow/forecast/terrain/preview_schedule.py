@@ -8,7 +8,7 @@ from surffollow.forecast.modes import orients
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.reference_scales import dimensionless_time, is_unscaled
 from surffollow.forecast.sensing import kinematics, sample_hold
-from surffollow.forecast.terrain import known_ground, terrain_buffer
+from surffollow.forecast.terrain import known_ground
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
@@ -48,7 +48,7 @@ def preview_uses(params, adaptive, inputs, now_ns):
     """
     if params.mode != MODE_ADAPTIVE or params.preview == 0 or adaptive.estimate.samples == 0:
         return 0
-    leads = terrain_buffer.sensor_leads(adaptive) or adaptive.lookahead.lead_m > 0.0
+    leads = known_ground.known_source(adaptive) == 0  # it measures newer ground than the map
     if orients(params) or leads or kinematics.is_at_rest(adaptive.kinematics):
         return 0
     due = FOR_PERIOD if controller_clock.period_is_due(adaptive, inputs, now_ns) else 0
