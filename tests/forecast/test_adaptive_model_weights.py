@@ -106,7 +106,7 @@ def effort_odds(rms_m: float, scored: int) -> float:
     a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = rms_m * rms_m
     still, jumpy = 2, 3  # both follow slopes
     assert max(still, jumpy) < CURVES
-    a["shadow"]["log_effort"][jumpy] = math.log(101.0)
+    a["shadow"]["effort"][jumpy] = 100.0
     update_weights(default_params(), a, AT_ONCE_S)
     return float(a["weights"]["weight"][still] / a["weights"]["weight"][jumpy])
 
@@ -119,8 +119,7 @@ def test_the_effort_is_the_mean_squared_acceleration_of_the_recorded_setpoints()
         record_setpoints(a)
     effort = QUICK_RATE * 1.0 * (1.0 - QUICK_RATE)
     assert a["shadow"]["effort"][NEW] == pytest.approx(effort)
-    assert a["shadow"]["log_effort"][NEW] == pytest.approx(math.log1p(effort))
-    assert a["shadow"]["effort"][OLD] == a["shadow"]["log_effort"][OLD] == 0.0
+    assert a["shadow"]["effort"][OLD] == 0.0
 
 
 def test_of_two_models_that_fit_rough_ground_alike_the_one_with_less_effort_has_the_weight():

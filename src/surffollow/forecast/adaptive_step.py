@@ -20,21 +20,19 @@ from surffollow.shm.jit import jit, jit_inlined
 
 
 @jit
-def distance_ahead(params, adaptive, sense):
+def distance_ahead(adaptive, sense, age_s):
     """Distance from the newest footprint to the point under the tool when the demand acts [m].
 
     Parameters
     ----------
-    params, adaptive, sense : records of `Params`, `AdaptiveState`, `SenseState`
+    adaptive, sense : records of `AdaptiveState`, `SenseState`
+    age_s : float64  of the newest pose at that time [s]
     """
-    motion, sample, newest = adaptive.kinematics, adaptive.sample, newest_pose(sense)
+    motion, newest = adaptive.kinematics, 7 * newest_pose(sense)
     if kinematics.is_at_rest(motion):
         return 0.0
-    gap_x = sense.pose[7 * newest] + sample.tip_x_m - sample.x_m
-    gap_y = sense.pose[7 * newest + 1] + sample.tip_y_m - sample.y_m
-    age_ns = adaptive.clock.now_ns - sense.pose_t_ns[newest]
-    delay_s = age_ns * 1e-9 + controller_clock.mean_wait_s(params, adaptive.controller)
-    return kinematics.distance_along(motion, gap_x, gap_y) + motion.speed_mps * delay_s
+    lead_m = measurement.footprint_lead(adaptive, sense.pose[newest], sense.pose[newest + 1])
+    return motion.speed_mps * age_s - lead_m
 
 
 @jit_inlined
@@ -154,14 +152,14 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         setpoint_limits.release_setpoint(setpoint)
         attitude.release_attitude(adaptive.attitude)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
-    ahead = distance_ahead(params, adaptive, sense)
     answered = controller_clock.observe_latch(controller, inputs, sense.pose_count, adaptive.clock.now_ns)
+    age_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + controller_clock.mean_wait_s(params, controller)
+    ahead = distance_ahead(adaptive, sense, age_s)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
     target = target_of_preview(params, adaptive, target, standoff_m)
-    age = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + controller_clock.mean_wait_s(params, controller)
-    target = setpoint_blend.permitted_setpoint(params, adaptive, target, tool_z, standoff_m, age, stuck)
+    target = setpoint_blend.permitted_setpoint(params, adaptive, target, tool_z, standoff_m, age_s, stuck)
     setpoint_limits.limit_setpoint(params, adaptive, adaptive.clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):

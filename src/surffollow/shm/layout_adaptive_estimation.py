@@ -17,8 +17,10 @@ WITHHELD, PENDING, ACCEPTED, STEP, RESTART = range(5)  # what becomes of a sampl
 class Noise(Schema):
     """Noise of the readings (`noise`)."""
 
-    sigma_m = F64(unit="m", doc="standard deviation of a reading")
-    median_m = F64(unit="m", doc="running median of |second difference| of accepted heights")
+    sigma_m = F64(
+        unit="m",
+        doc="standard deviation of a reading, by the running median of second differences",
+    )
     recent_m = F64(2, unit="m", doc="the two accepted heights before the newest one")
 
 
@@ -89,7 +91,6 @@ class Shadow(Schema):
     velocity_mps = F64(N_AXES, unit="m/s", doc="velocity")
     before_m = F64(2 * N_MODELS, unit="m", doc="setpoints of the models in the two periods before")
     effort = F64(N_MODELS, unit="m^2/s^4", doc="mean squared acceleration of the setpoints")
-    log_effort = F64(N_MODELS, doc="ln(1 + effort in units of 1 m²/s⁴)")
 
 
 class Weights(Schema):

@@ -169,7 +169,7 @@ def plausible_bend_m(params, adaptive):
 def is_bent(adaptive, n_channels, gate_m):
     """Whether the accepted beams lie on no plane within the gate."""
     beams = adaptive.beams
-    fit = fit_plane(beams, beams.accepted, n_channels, adaptive.plane.curvature, adaptive.noise.sigma_m)
+    fit = fit_plane(beams, beams.accepted, n_channels, adaptive.plane, adaptive.noise.sigma_m)
     return fit.rank == 2 and fit.error_m2 > gate_m * gate_m
 
 

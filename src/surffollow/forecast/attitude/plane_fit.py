@@ -90,27 +90,22 @@ def update_plane(params, adaptive, dt):
     PlaneFit
     """
     beams, plane = adaptive.beams, adaptive.plane
-    n, sigma_m = params.n_channels, adaptive.noise.sigma_m
-    fit = plane_regression.fit_plane(beams, beams.weight, n, plane.curvature, sigma_m)
+    fit = plane_regression.fit_plane(beams, beams.weight, params.n_channels, plane, adaptive.noise.sigma_m)
     plane.rank = fit.rank if beams.inconsistent == 0 else 0
-    ux, uy = fit.ux, fit.uy
-    along = fit.along - (plane.slope_x * ux + plane.slope_y * uy)
-    across = fit.across - plane.slope_y * ux + plane.slope_x * uy if plane.rank == 2 else 0.0
-    ex, ey = along * ux - across * uy, along * uy + across * ux
     share = slope_gain(dt)
     if plane.rank == 2:
-        plane.fitted_x, plane.fitted_y = plane.slope_x + ex, plane.slope_y + ey
+        plane.fitted_x, plane.fitted_y = plane.slope_x + fit.error_x, plane.slope_y + fit.error_y
         plane.spread_m2 = fit.spread_m2
-        error = plane_regression.curvature_error(beams, plane, n, fit)
+        error = plane_regression.curvature_error(beams, plane, params.n_channels, fit)
         plane.curvature += min(2.5 * dt, 0.5) * error  # a mean over 0.4 s
         rate_gain_hz = 0.25 * share * share / dt if dt > 0.0 else 0.0
-        plane.slope_rate_x_hz += rate_gain_hz * ex
-        plane.slope_rate_y_hz += rate_gain_hz * ey
+        plane.slope_rate_x_hz += rate_gain_hz * fit.error_x
+        plane.slope_rate_y_hz += rate_gain_hz * fit.error_y
     else:
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = 0.0
     if plane.rank > 0:
         share = max(share, 1.0 / (plane.count + 1))
-        shift_slopes(plane, share * ex, share * ey)
+        shift_slopes(plane, share * fit.error_x, share * fit.error_y)
     plane.count += 1 if plane.rank == 2 else 0
     return fit
 

@@ -8,17 +8,15 @@ from surffollow.shm.jit import jit
 
 
 class PlaneFit(NamedTuple):
-    """A plane by regression: mean of the footprints, slopes along their principal axes, and residuals."""
+    """A plane by regression on footprints."""
 
     rank: int  # slopes that the footprints give: 2 both, 1 along their line, 0 none
-    x_m: float
+    x_m: float  # mean of the footprints
     y_m: float
     h_m: float
-    ux: float  # unit vector of their line
-    uy: float
-    along: float  # slopes along (ux, uy) and (-uy, ux)
-    across: float
-    spread_m2: float  # across the line
+    error_x: float  # slopes minus the known ones
+    error_y: float
+    spread_m2: float  # of the footprints, where it is less
     error_m2: float  # sum of the squared residuals
 
 
@@ -36,15 +34,14 @@ def flat_height(beams, curvature, c):
 
 
 @jit
-def fit_plane(beams, weights, n_channels, curvature, sigma_m):
+def fit_plane(beams, weights, n_channels, plane, sigma_m):
     """Weighted least squares of a plane, along the principal axes of the footprints.
 
     Parameters
     ----------
-    beams : record of `Beams`
+    beams, plane : records of `Beams`, `Plane`: known slopes and curvature, by which the heights are corrected
     weights : (8,) array  0 to 1; 0: the beam does not count
     n_channels : int      channels in use
-    curvature : float64   of the ground [1/m], by which the heights are corrected
     sigma_m : float64     standard deviation of a reading [m]
 
     Returns
@@ -55,13 +52,13 @@ def fit_plane(beams, weights, n_channels, curvature, sigma_m):
     for c in range(n_channels):
         w = weights[c]
         mx, my = mx + w * beams.footprint_m[3 * c], my + w * beams.footprint_m[3 * c + 1]
-        total, mh = total + w, mh + w * flat_height(beams, curvature, c)
+        total, mh = total + w, mh + w * flat_height(beams, plane.curvature, c)
     mx, my, mh = mx / total, my / total, mh / total
     xx, xy, yy, xh, yh, hh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w = weights[c]
         dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
-        dh = flat_height(beams, curvature, c) - mh
+        dh = flat_height(beams, plane.curvature, c) - mh - plane.slope_x * dx - plane.slope_y * dy
         xx, xy, yy = xx + w * dx * dx, xy + w * dx * dy, yy + w * dy * dy
         xh, yh, hh = xh + w * dx * dh, yh + w * dy * dh, hh + w * dh * dh
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
@@ -72,10 +69,13 @@ def fit_plane(beams, weights, n_channels, curvature, sigma_m):
     # footprints nearer to each other than 20 standard deviations of a reading give no slope
     least_m2 = (20.0 * max(sigma_m, MIN_NOISE_M)) ** 2
     rank = 1 if major > least_m2 else 0
-    if minor > max(least_m2, 1e-2 * (major + minor)):  # nearly on one line they give none across it
+    error_m2 = hh - major * along * along - minor * across * across
+    if minor > max(least_m2, 1e-2 * (major + minor)):
         rank = 2
-    error = hh - major * along * along - minor * across * across
-    return PlaneFit(rank, mx, my, mh, ux, uy, along, across, minor, error)
+    else:  # nearly on one line they give none across it
+        across = 0.0
+    ex, ey = along * ux - across * uy, along * uy + across * ux
+    return PlaneFit(rank, mx, my, mh, ex, ey, minor, error_m2)
 
 
 @jit

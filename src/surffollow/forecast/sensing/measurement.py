@@ -67,8 +67,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     if not at_rest:
         newest = 7 * newest_pose(sense)
-        gap_x, gap_y = x - sense.pose[newest], y - sense.pose[newest + 1]
-        ahead = kinematics.distance_along(adaptive.kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
+        ahead = footprint_lead(adaptive, sense.pose[newest], sense.pose[newest + 1])
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
     entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapt)
@@ -163,10 +162,6 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
     sample.tip_x_m = sample.tip_y_m = 0.0
     if not orients(params):
         sample.tip_x_m, sample.tip_y_m, _ = standoff.axis_ground_point(params, pose, 0)
-    if not kinematics.is_at_rest(motion):
-        gap_x, gap_y = x_m - pose[0] - sample.tip_x_m, y_m - pose[1] - sample.tip_y_m
-        lead = kinematics.distance_along(motion, gap_x, gap_y)
-        sample.lead_m = clock.follow_usual(sample.lead_m if known else 0.0, lead)
     travel = motion.speed_mps * (t_ns - adaptive.estimate.sample_ns) * 1e-9 if known else 0.0
     # the tool of a slow sensor may have turned since the sample before
     if known and innovation_gate.is_slow(adaptive) and not spans_jump(adaptive):
@@ -174,7 +169,18 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
     follow_heading(adaptive, x_m, y_m)
     sample.spacing_m = clock.follow_usual(sample.spacing_m, travel)
     sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, adaptive.estimate.arc_length_m + travel
+    if not kinematics.is_at_rest(motion):
+        lead_m = footprint_lead(adaptive, pose[0], pose[1])
+        sample.lead_m = clock.follow_usual(sample.lead_m if known else 0.0, lead_m)
     return travel
+
+
+@jit
+def footprint_lead(adaptive, x_m, y_m):
+    """Distance of the newest footprint ahead of the point under a tool at (x, y) [m]; the tool must move."""
+    sample = adaptive.sample
+    gap_x, gap_y = sample.x_m - x_m - sample.tip_x_m, sample.y_m - y_m - sample.tip_y_m
+    return kinematics.distance_along(adaptive.kinematics, gap_x, gap_y)
 
 
 @jit
