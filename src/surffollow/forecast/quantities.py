@@ -1,7 +1,6 @@
 """Times, numbers of samples and slopes that several stages share, with the reason for each."""
 
 MAX_GAP_NS = 50_000_000  # longer without a sample or report: a drop-out; nothing is extrapolated over it
-MISSING_NS = MAX_GAP_NS // 2  # a single missing sample is no drop-out; older footprints are of another plane
 PAUSE_NS = 100_000_000  # longer without a call or a sample is a pause; window of velocities; a fault is over
 # so far apart: reports of two motions, timestamps of two clocks, heights of two passes
 LONG_GAP_NS = 1_000_000_000

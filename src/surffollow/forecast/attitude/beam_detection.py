@@ -11,10 +11,10 @@ import math
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height, half_squared_distance
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
+from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, REPEAT_BAND
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
-from surffollow.forecast.sensing.range_prediction import longest_gap_s
+from surffollow.forecast.sensing.range_prediction import dropout_tolerance_s
 from surffollow.forecast.sensing.response import MOTION_BANDS
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit, jit_inlined
@@ -25,7 +25,7 @@ ROUND_SHARE = 0.9  # of the interval: eight beams by turns need 7/8 of it
 @jit_inlined
 def is_recent(beams, c, t_ns):
     """Whether a beam has a sample as new as one with this timestamp, or of the same round."""
-    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= max(MISSING_NS, beams.round_ns)
+    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= max(MAX_GAP_NS, beams.round_ns)
 
 
 @jit
@@ -122,7 +122,9 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
     """
     beams, number, sigma = adaptive.beams, mean_samples(adaptive), beam_noise_m(params, adaptive)
     deviation, most = range_m - beams.mean_m[c], BAND_SIGMAS * sigma
-    begins = beams.t_ns[c] == 0 or not 0 <= t_ns - beams.t_ns[c] <= longest_gap_s(adaptive.prediction) * 1e9
+    begins = (
+        beams.t_ns[c] == 0 or not 0 <= t_ns - beams.t_ns[c] <= dropout_tolerance_s(adaptive.prediction) * 1e9
+    )
     beams.mean_m[c] += min(max(deviation, -most), most) / number
     change = abs(beams.mean_m[c] - beams.run_mean_m[c])
     if begins or change > TEST_BAND_FACTOR * mean_band_m(sigma, number):

@@ -16,7 +16,7 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between, to_world
 from surffollow.forecast.sensing import response
 from surffollow.forecast.sensing.mean_range import TEST_BAND_FACTOR
-from surffollow.forecast.sensing.range_prediction import longest_gap_s
+from surffollow.forecast.sensing.range_prediction import dropout_tolerance_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 from surffollow.shm.layout_follow import RUN_NORMAL
@@ -66,7 +66,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     """
     rotation, plane = adaptive.rotation, adaptive.plane
     dt = (t_ns - rotation.t_ns) * 1e-9
-    begins = rotation.t_ns == 0 or not 0.0 < dt <= longest_gap_s(adaptive.prediction)
+    begins = rotation.t_ns == 0 or not 0.0 < dt <= dropout_tolerance_s(adaptive.prediction)
     if plane.rank != 2:
         if begins:
             reset_rotation(rotation)  # too few beams to see a response: what is left is followed as ever

@@ -4,7 +4,7 @@ from surffollow.forecast import quantities
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
-from surffollow.forecast.sensing.range_prediction import predict_range
+from surffollow.forecast.sensing.range_prediction import dropout_tolerance_s, predict_range, tolerated_gap_s
 from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.forecast.sensing.unseen_ground import uncertain_clearance
 from surffollow.shm import layout_adaptive as layout
@@ -13,20 +13,13 @@ from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 LEFT_OUT_NS = 500_000_000  # a beam of a plane that is not used for so long: an edge leaves out one for less
-DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
-
-
-@jit
-def dropout_tolerance_s(prediction):
-    """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
-    return min(DROPOUT_INTERVALS * prediction.interval_s, quantities.LONG_GAP_NS * 1e-9)
 
 
 @jit
 def is_missing(adaptive, since_ns):
     """Whether a sample after this time is missing, beyond the usual delay and tolerance."""
-    tolerance_ns = max(quantities.MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
-    return adaptive.clock.now_ns - since_ns > adaptive.latency.delay_s * 1e9 + tolerance_ns
+    tolerance_s = adaptive.latency.delay_s + dropout_tolerance_s(adaptive.prediction)
+    return adaptive.clock.now_ns - since_ns > tolerance_s * 1e9
 
 
 @jit
@@ -69,14 +62,13 @@ def observe_channels(params, health, sense, now_ns):
     silent = 0
     for c in range(params.n_channels):
         gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
-        tolerance_ns = min(DROPOUT_INTERVALS * usual_ns, quantities.LONG_GAP_NS)
         if sense.fresh[c] != 0:
             if usual_ns != 0:
                 health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // quantities.USUAL_SAMPLES
             elif health.reading_ns[c] != 0:
                 health.interval_ns[c] = gap_ns
             health.reading_ns[c] = now_ns
-        elif params.n_channels > 1 and gap_ns > max(quantities.MAX_GAP_NS, tolerance_ns):
+        elif params.n_channels > 1 and gap_ns > tolerated_gap_s(1e-9 * usual_ns) * 1e9:
             silent |= 1 << c
     return silent
 

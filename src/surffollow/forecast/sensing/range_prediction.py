@@ -12,9 +12,11 @@ Over a slope, where the range returns to no mean, it is 0.
 
 import math
 
-from surffollow.forecast.quantities import MAX_GAP_NS
+from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
+
+DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
 
 
 @jit
@@ -57,9 +59,15 @@ def predict_range(prediction, horizon_s):
 
 
 @jit
-def longest_gap_s(prediction):
-    """Longest time between two samples of the same motion [s]; slow beams have no gap."""
-    return MAX_GAP_NS * 1e-9 + 2.0 * prediction.interval_s
+def tolerated_gap_s(interval_s):
+    """Time without a sample at this usual interval that is no drop-out [s]; slow sensors have no gap."""
+    return max(MAX_GAP_NS * 1e-9, min(DROPOUT_INTERVALS * interval_s, LONG_GAP_NS * 1e-9))
+
+
+@jit
+def dropout_tolerance_s(prediction):
+    """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
+    return tolerated_gap_s(prediction.interval_s)
 
 
 @jit

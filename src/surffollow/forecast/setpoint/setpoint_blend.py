@@ -5,8 +5,9 @@ import math
 from surffollow.forecast import quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
 from surffollow.forecast.plant import controller_clock, shadow_axes
-from surffollow.forecast.sensing import health, measurement, unseen_ground
+from surffollow.forecast.sensing import measurement, unseen_ground
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
+from surffollow.forecast.sensing.range_prediction import dropout_tolerance_s
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
@@ -17,7 +18,7 @@ from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 def dropout_s(adaptive):
     """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
     since_s = (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9 - adaptive.latency.delay_s
-    return since_s - max(quantities.MISSING_NS * 1e-9, health.dropout_tolerance_s(adaptive.prediction))
+    return since_s - dropout_tolerance_s(adaptive.prediction)
 
 
 @jit_inlined
