@@ -29,7 +29,7 @@ EARLY_SAMPLES = 200
 def deadband_state(rate_mps=0.0):
     a = zeros(AdaptiveState)[0]
     a["clock"]["now_ns"] = a["blend"]["filtered_ns"] = 10**9
-    a["adaptation"]["permitted_variance_m"] = BAND / default_params()["deadband_share"]
+    a["estimate"]["sigma_m"] = BAND / default_params()["deadband_share"]
     a["blend"]["rate_mps"] = rate_mps
     return a
 

@@ -40,7 +40,6 @@ OWNERS = {
     "estimate": "estimate",
     "controller": "controller_clock",
     "plant": "plant_identification",
-    "adaptation": "adaptation",
     "blend": "setpoint_blend",
     "setpoint": "setpoint_limits",
     "buffer": "terrain_buffer",

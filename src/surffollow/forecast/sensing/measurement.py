@@ -7,7 +7,7 @@ import math
 
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
-from surffollow.forecast.estimation import adaptation, estimate, innovation_gate
+from surffollow.forecast.estimation import estimate, innovation_gate
 from surffollow.forecast.modes import adapts, orients
 from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.sensing import (
@@ -49,7 +49,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     close = health.count_close(adaptive.health, range_m < params.too_close_m)
     if close or fold.close != 0:
         fold_back.watch_fold_back(params, fold, range_m, sensor_z)
-    adapt, at_rest = adapts(params), kinematics.is_at_rest(adaptive.kinematics)
+    at_rest = kinematics.is_at_rest(adaptive.kinematics)
     if orients(params):
         x, y = pose[0], pose[1]
         accepted, h = plane_fit.plane_height(params, adaptive, t, x, y)
@@ -69,14 +69,12 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
         ahead = footprint_lead(adaptive, sense.pose[newest], sense.pose[newest + 1])
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
-    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapt)
+    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapts(params))
     sample.arc_length_m = adaptive.estimate.arc_length_m  # an initialisation advances it farther
     if not entered:
         return
     terrain_buffer.store_ground_under(adaptive, sample.arc_length_m, h)
     preview.observe_ground(params, adaptive, h)
-    if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
-        adaptation.update_deadband(params, adaptive)
     if not orients(params):
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, h

@@ -4,6 +4,7 @@ import math
 
 from surffollow.forecast import quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
+from surffollow.forecast.estimation.adaptation import permitted_variance_m
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
@@ -138,7 +139,7 @@ def filter_setpoint(params, adaptive, target_m):
     Beyond the deadband b the excess x decays by dx/dt = −x² / (2.5 b · 10 ms): one of 2.5 b is halved in
     10 ms. The result does not depend on the length of the cycle.
     """
-    clock, adaptation, blend = adaptive.clock, adaptive.adaptation, adaptive.blend
+    clock, blend = adaptive.clock, adaptive.blend
     dt = (clock.now_ns - blend.filtered_ns) * 1e-9
     if dt == 0.0:
         return blend.filtered_m
@@ -148,7 +149,7 @@ def filter_setpoint(params, adaptive, target_m):
         return target_m
     blend.filtered_m += blend.rate_mps * dt
     e = target_m - blend.filtered_m
-    deadband_m = params.deadband_share * adaptation.permitted_variance_m
+    deadband_m = params.deadband_share * permitted_variance_m(params, adaptive)
     excess = abs(e) - deadband_m
     if excess > 0.0:
         softness = 2.5 * deadband_m
