@@ -1,14 +1,15 @@
 """Times, numbers of samples and slopes that several stages share, with the reason for each."""
 
 MAX_GAP_NS = 50_000_000  # longer without a sample or report: a drop-out; nothing is extrapolated over it
+MISSING_NS = MAX_GAP_NS // 2  # a single missing sample is no drop-out; older footprints are of another plane
 PAUSE_NS = 100_000_000  # longer without a call or a sample is a pause; window of velocities; a fault is over
 # so far apart: reports of two motions, timestamps of two clocks, heights of two passes
 LONG_GAP_NS = 1_000_000_000
 # in a row are no chance: at a start, near the fold-back, with a timestamp that goes back
 CONFIRMATION_SAMPLES = 3
-# fewer: the setpoint has not arrived; no descent in a drop-out; no plane of faulty beams
-CONFIRMED_SAMPLES = 25
-USUAL_SAMPLES = 20  # in the usual value of a delay, an interval, a distance, a height
+# in the usual value of a delay, an interval, a distance, a height; fewer: the setpoint has not arrived, no
+# descent in a drop-out, no plane of faulty beams
+USUAL_SAMPLES = 20
 QUICK_RATE, SLOW_RATE = 0.02, 0.004  # of means over 50 and 250 samples or reports
 FULL_POWER_SAMPLES = 500  # for the full power of the performance index; a rest of the tool is concluded
 PLAUSIBLE_SLOPE = 0.2  # of ground that nothing is known of

@@ -11,7 +11,7 @@ import math
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height, half_squared_distance
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, REPEAT_BAND
+from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND, USUAL_SAMPLES
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
 from surffollow.forecast.sensing.range_prediction import dropout_tolerance_s
@@ -25,7 +25,7 @@ ROUND_SHARE = 0.9  # of the interval: eight beams by turns need 7/8 of it
 @jit_inlined
 def is_recent(beams, c, t_ns):
     """Whether a beam has a sample as new as one with this timestamp, or of the same round."""
-    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= max(MAX_GAP_NS, beams.round_ns)
+    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= max(MISSING_NS, beams.round_ns)
 
 
 @jit
@@ -243,7 +243,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     if n < 4 or not begun or not apart:
         beams.inconsistent = 0
     elif is_bent(adaptive, params.n_channels, max(gate, plausible_bend_m(params, adaptive))):
-        beams.inconsistent = CONFIRMED_SAMPLES
+        beams.inconsistent = USUAL_SAMPLES
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
     good = 0

@@ -68,7 +68,7 @@ def observe_channels(params, health, sense, now_ns):
             elif health.reading_ns[c] != 0:
                 health.interval_ns[c] = gap_ns
             health.reading_ns[c] = now_ns
-        elif params.n_channels > 1 and gap_ns > tolerated_gap_s(1e-9 * usual_ns) * 1e9:
+        elif params.n_channels > 1 and gap_ns > tolerated_gap_s(1e-9 * usual_ns, quantities.MAX_GAP_NS) * 1e9:
             silent |= 1 << c
     return silent
 

@@ -59,15 +59,15 @@ def predict_range(prediction, horizon_s):
 
 
 @jit
-def tolerated_gap_s(interval_s):
-    """Time without a sample at this usual interval that is no drop-out [s]; slow sensors have no gap."""
-    return max(MAX_GAP_NS * 1e-9, min(DROPOUT_INTERVALS * interval_s, LONG_GAP_NS * 1e-9))
+def tolerated_gap_s(interval_s, least_ns):
+    """Time without a sample at this usual interval that is no drop-out [s]; of a quick sensor the least."""
+    return max(least_ns * 1e-9, min(DROPOUT_INTERVALS * interval_s, LONG_GAP_NS * 1e-9))
 
 
 @jit
 def dropout_tolerance_s(prediction):
     """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
-    return tolerated_gap_s(prediction.interval_s)
+    return tolerated_gap_s(prediction.interval_s, MAX_GAP_NS)
 
 
 @jit
