@@ -5,12 +5,9 @@ A pose is seven numbers, x y z [m] and a unit quaternion qx qy qz qw.
 
 import math
 
-from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
 from surffollow.forecast.sensing.clock import clock_jump_ns
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
-
-TAKEN, NO_POSE, TOO_FAR = 1, 2, 3  # what `report_pose` finds
 
 
 @jit_inlined
@@ -104,25 +101,14 @@ def push_pose(sense, t_ns, pose, at):
 
 @jit
 def report_pose(state, step_ns, t_ns, pose):
-    """Check a pose report, make its quaternion one of norm 1, and append it to the history.
+    """Append a pose report to the history; 0: refused, it is not newer than the last.
 
     Parameters
     ----------
     state : (1,) records of `FollowState`
     step_ns, t_ns : int64     time of the latest step; when the pose was true
-    pose : (7,) float64       x y z [m], qx qy qz qw; normalised in place
-
-    Returns
-    -------
-    int64  TAKEN; 0: refused, not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
+    pose : (7,) float64       x y z [m], unit quaternion qx qy qz qw
     """
-    norm = math.sqrt(pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6])
-    if not (math.isfinite(pose[0] + pose[1] + pose[2]) and abs(norm - 1.0) <= NORM_TOLERANCE):
-        return NO_POSE
-    if not max(abs(pose[0]), abs(pose[1]), abs(pose[2])) <= MAX_POSITION_M:
-        return TOO_FAR
-    for i in range(3, 7):
-        pose[i] /= norm
     sense = state[0].sense
     if sense.pose_count > 0:
         newest = sense.pose_t_ns[newest_pose(sense)]

@@ -140,3 +140,15 @@ class Buffer(Schema):
     arc_length_m = F64(BUFFER_CELLS, unit="m", doc="mean arc length")
     x_m = F64(BUFFER_CELLS, unit="m", doc="place of its first height")
     y_m = F64(BUFFER_CELLS, unit="m")
+
+
+class MemoryCell(Schema):
+    """A cell of the terrain memory (`terrain_memory`)."""
+
+    ix = I64(doc="column in the world's x-y plane")
+    iy = I64(doc="row")
+    t_ns = I64(unit="ns", doc="when it was last written")
+    n = F64(doc="heights in its mean")
+    height_m = F64(unit="m", doc="mean height")
+    n_before = F64(doc="heights in the mean before this pass began")
+    height_before_m = F64(unit="m", doc="that mean")
