@@ -1,4 +1,4 @@
-"""What the parameters say about a cycle of the default follower."""
+"""Modes of the default follower that the parameters give."""
 
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import RUN_FREEZE

@@ -8,7 +8,7 @@ import math
 
 from surffollow.forecast.attitude import beam_detection, plane_regression
 from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE
-from surffollow.forecast.sensing.range_prediction import dropout_tolerance_s
+from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.shm.jit import jit
 
 

@@ -15,8 +15,8 @@ from surffollow.forecast.attitude.plane_fit import slope_gain
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between, to_world
 from surffollow.forecast.sensing import response
+from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.mean_range import TEST_BAND_FACTOR
-from surffollow.forecast.sensing.range_prediction import dropout_tolerance_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 from surffollow.shm.layout_follow import RUN_NORMAL

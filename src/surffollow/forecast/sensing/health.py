@@ -4,7 +4,7 @@ from surffollow.forecast import quantities
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
-from surffollow.forecast.sensing.range_prediction import dropout_tolerance_s, predict_range, tolerated_gap_s
+from surffollow.forecast.sensing.range_prediction import predict_range
 from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.forecast.sensing.unseen_ground import uncertain_clearance
 from surffollow.shm import layout_adaptive as layout
@@ -13,6 +13,19 @@ from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 LEFT_OUT_NS = 500_000_000  # a beam of a plane that is not used for so long: an edge leaves out one for less
+DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
+
+
+@jit
+def tolerated_gap_s(interval_s, least_ns):
+    """Time without a sample at this usual interval that is no drop-out [s]; of a quick sensor the least."""
+    return max(least_ns * 1e-9, min(DROPOUT_INTERVALS * interval_s, quantities.LONG_GAP_NS * 1e-9))
+
+
+@jit
+def dropout_tolerance_s(prediction):
+    """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
+    return tolerated_gap_s(prediction.interval_s, quantities.MAX_GAP_NS)
 
 
 @jit

@@ -19,7 +19,7 @@ from surffollow.forecast.sensing import (
     response,
     standoff,
 )
-from surffollow.forecast.sensing.range_prediction import dropout_tolerance_s, update_prediction
+from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
 from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
 from surffollow.shm.jit import jit, jit_inlined
@@ -133,7 +133,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     latency_identification.update_delay(adaptive.latency, delay_s, adaptive.prediction.interval_s)
     kinematics.predict_pose(adaptive.kinematics, sense, t_ns, pose)
     was_stuck = response.is_unresponsive(adaptive.response)
-    gap_s = dropout_tolerance_s(adaptive.prediction)
+    gap_s = health.dropout_tolerance_s(adaptive.prediction)
     if orients(params):
         range_m = rotation_response.mean_range(adaptive.beams, params.n_channels, t_ns, range_m)
     response.observe_response(params, adaptive, t_ns, range_m, pose[2], gap_s)

@@ -12,11 +12,8 @@ Over a slope, where the range returns to no mean, it is 0.
 
 import math
 
-from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
-
-DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
 
 
 @jit
@@ -56,18 +53,6 @@ def predict_range(prediction, horizon_s):
         return math.nan
     by_trend_m, return_m = forecast_parts(prediction, horizon_s)
     return by_trend_m + return_gain(prediction) * return_m
-
-
-@jit
-def tolerated_gap_s(interval_s, least_ns):
-    """Time without a sample at this usual interval that is no drop-out [s]; of a quick sensor the least."""
-    return max(least_ns * 1e-9, min(DROPOUT_INTERVALS * interval_s, LONG_GAP_NS * 1e-9))
-
-
-@jit
-def dropout_tolerance_s(prediction):
-    """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
-    return tolerated_gap_s(prediction.interval_s, MAX_GAP_NS)
 
 
 @jit

@@ -7,8 +7,8 @@ from surffollow.forecast.estimation import innovation_gate, model_bank, model_we
 from surffollow.forecast.estimation.adaptation import permitted_variance_m
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
+from surffollow.forecast.sensing.health import tolerated_gap_s
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
-from surffollow.forecast.sensing.range_prediction import tolerated_gap_s
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
