@@ -122,9 +122,8 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
     """
     beams, number, sigma = adaptive.beams, mean_samples(adaptive), beam_noise_m(params, adaptive)
     deviation, most = range_m - beams.mean_m[c], BAND_SIGMAS * sigma
-    begins = (
-        beams.t_ns[c] == 0 or not 0 <= t_ns - beams.t_ns[c] <= dropout_tolerance_s(adaptive.prediction) * 1e9
-    )
+    since_s = (t_ns - beams.t_ns[c]) * 1e-9
+    begins = beams.t_ns[c] == 0 or not 0.0 <= since_s <= dropout_tolerance_s(adaptive.prediction)
     beams.mean_m[c] += min(max(deviation, -most), most) / number
     change = abs(beams.mean_m[c] - beams.run_mean_m[c])
     if begins or change > TEST_BAND_FACTOR * mean_band_m(sigma, number):
