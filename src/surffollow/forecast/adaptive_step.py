@@ -79,7 +79,7 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     ahead_m += motion.speed_mps * ((latch_ns - adaptive.clock.now_ns) * 1e-9 - wait_s)
     known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
     if preview.update_share(adaptive, known, plant_identification.model_error(adaptive.plant)):
-        z, v = plant_identification.predict_axis(params, adaptive, latch_ns)
+        z, v = plant_identification.predict_axis(params, adaptive.plant, latch_ns)
         preview.extrapolate_ground(adaptive, known, ahead_m)
         standoff_m += tested_setpoint.setpoint_shift_m(adaptive.response)
         preview_control.plan_setpoint(params, adaptive, known, z, v, standoff_m)

@@ -136,7 +136,7 @@ def predict_pose(kinematics, sense, t_ns, pose):
     t_ns : int64         time of the pose
     pose : (7,) float64  receives x y z [m], qx qy qz qw
     """
-    pose_at(sense, t_ns, 1, pose)
+    pose_at(sense, t_ns, pose)
     late = t_ns - sense.pose_t_ns[newest_pose(sense)]
     if late > 0:
         dt = min(late, MAX_GAP_NS) * 1e-9

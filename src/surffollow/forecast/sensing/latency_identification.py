@@ -105,9 +105,9 @@ def observe_height(params, adaptive, sense, t_ns, h_m, pose):
     if at_rest and not far:
         newest_ns = sense.pose_t_ns[newest_pose(sense)]
         end_ns = min(t_ns + kinematics.CLIMB_WINDOW_NS // 2, newest_ns)
-        pose_at(sense, end_ns - kinematics.CLIMB_WINDOW_NS, 1, pose)
+        pose_at(sense, end_ns - kinematics.CLIMB_WINDOW_NS, pose)
         z = pose[2]
-        pose_at(sense, end_ns, 1, pose)
+        pose_at(sense, end_ns, pose)
         climb = (pose[2] - z) / (1e-9 * kinematics.CLIMB_WINDOW_NS)
         latency.count += 1
         dc, dh = climb - latency.mean_climb_mps, h_m - latency.mean_height_m
