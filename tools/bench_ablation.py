@@ -108,8 +108,8 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "deadband": [
         (
             "setpoint_blend",
-            "deadband_m = params.deadband_share * adaptation.permitted",
-            "deadband_m = 1e-12 * adaptation.permitted",
+            "deadband_m = params.deadband_share * permitted",
+            "deadband_m = 1e-12 * permitted",
         ),
     ],
     "limits behind a fall": [("setpoint_limits", "factor = params.toward_factor if", "factor = 1.0 if")],

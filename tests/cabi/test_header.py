@@ -17,7 +17,6 @@ from surffollow.cli.main import cli
 from surffollow.client import demand, observer, pose, push_range, slot_watch
 from surffollow.config.params import PARAMS
 from surffollow.hw import pushed_ranges
-from surffollow.service import slot_inputs
 from surffollow.shm import cheader
 from surffollow.shm.layout_board import RESULT_TEXT
 from surffollow.shm.schema import F64, I64, U8, Nested, Schema, Text
@@ -119,7 +118,6 @@ def test_c_and_python_clients_share_their_constants() -> None:
     assert cheader.POSE_FUTURE_NS == pose.FUTURE_NS
     assert cheader.RANGE_FUTURE_NS == push_range.FUTURE_NS <= pushed_ranges.FUTURE_NS
     assert cheader.RANGE_OLDEST_NS == push_range.OLDEST_NS == pushed_ranges.OLDEST_NS
-    assert cheader.MAX_POSITION_M == pose.MAX_POSITION_M == slot_inputs.MAX_POSITION_M
 
 
 def test_every_result_has_its_text_and_every_parameter_its_bounds(

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from cabi.running import ROOT
 from surffollow.cli.main import cli
-from surffollow.client import client, observer, pose, requests, slot, slot_request
+from surffollow.client import client, observer, requests, slot, slot_request
 from surffollow.service import daemon, slot_server
 from surffollow.shm import cheader
 from surffollow.shm import layout_board as lb
@@ -102,4 +102,3 @@ def test_waits_and_limits_are_those_of_service_and_client() -> None:
         (lj.REQUEST_LOST_NS, requests.LOST_S),
     ):
         assert ours == round(1e9 * theirs)
-    assert lj.NORM_TOLERANCE == pose.NORM_TOLERANCE

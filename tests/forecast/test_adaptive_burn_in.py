@@ -9,11 +9,7 @@ import pytest
 
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.trials import Job, excursion
-from surffollow.forecast.estimation.model_bank import (
-    BANK,
-    SCALE,
-    WAVE,
-)
+from surffollow.forecast.estimation.model_bank import BANK, SCALE
 from surffollow.forecast.estimation.model_weights import update_weights
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
@@ -21,7 +17,7 @@ from surffollow.forecast.sensing.kinematics import update_kinematics
 from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, filter_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
-from surffollow.shm.layout_adaptive_estimation import N_MODELS, N_PERIODS, WAVES
+from surffollow.shm.layout_adaptive_estimation import CURVES, N_MODELS, N_PERIODS, WAVES
 from surffollow.shm.layout_follow import FollowState
 
 from .feeding import MS, default_params, feed
@@ -33,7 +29,7 @@ EARLY_SAMPLES = 200
 def deadband_state(rate_mps=0.0):
     a = zeros(AdaptiveState)[0]
     a["clock"]["now_ns"] = a["blend"]["filtered_ns"] = 10**9
-    a["adaptation"]["permitted_variance_m"] = BAND / default_params()["deadband_share"]
+    a["estimate"]["sigma_m"] = BAND / default_params()["deadband_share"]
     a["blend"]["rate_mps"] = rate_mps
     return a
 
@@ -152,13 +148,13 @@ def test_levels_and_slopes_that_did_equally_well_have_equal_weights():
     update_weights(default_params(), a, 1.0)
     weights = a["weights"]["weight"]
     assert weights.sum() == pytest.approx(1.0)
-    levels_and_slopes = weights[BANK[:, 0] == 0]
+    levels_and_slopes = weights[:CURVES]
     assert levels_and_slopes == pytest.approx(levels_and_slopes[0])
 
 
 def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
     a = evaluated(EARLY_SAMPLES, FULL_POWER_SAMPLES)
-    rising = (BANK[:, 2] > 0.0) & (BANK[:, 0] != WAVE)
+    rising = (BANK[:, 1] > 0.0) & (np.arange(N_MODELS) < WAVES)
     a["bank"]["slope"][rising] = 0.2
     a["bank"]["wave_number"] = SCALE
     blend_setpoints(default_params(), a, 0, 0.0, 0.1, 1)

@@ -294,7 +294,7 @@ def test_a_coarse_sensor_on_a_ramp_is_not_taken_for_stuck(slope, speed_mps, lsb_
         ("bank", "height_m"),
         ("bank", "wave_number"),
         ("bank", "p00"),
-        ("noise", "median_m"),
+        ("noise", "sigma_m"),
         ("shadow", "effort"),
     ],
 )

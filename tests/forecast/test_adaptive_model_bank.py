@@ -27,17 +27,18 @@ STATE = ("height_m", "slope", "curvature")
 
 def dense(i, d, wave_number):
     """Transition and process noise of model i over a way d, the slow way."""
-    kind, scale, noise, height_noise = bank.BANK[i]
+    scale, noise, height_noise = bank.BANK[i]
+    is_wave, is_curve = i >= bank.WAVES, bank.CURVES <= i < bank.WAVES
     alpha, beta, w = 0.0, 0.0, 0.0
-    if kind == bank.WAVE:
+    if is_wave:
         w = wave_number
-    elif kind == bank.CURVE:
+    elif is_curve:
         beta = 1.0 / scale
     else:
         alpha = 1.0 / scale
     f = expm(np.array([[0.0, 1.0, 0.0], [0.0, -alpha, 1.0], [0.0, -w * w, -beta]]) * d)
-    driven = 1 if kind == bank.CURVE else 0  # curvature, or slope
-    density = noise**2 * (2.0 * scale**2 if kind == bank.WAVE else 1.0)
+    driven = 1 if is_curve else 0  # curvature, or slope
+    density = noise**2 * (2.0 * scale**2 if is_wave else 1.0)
     q = np.diag([height_noise**2 * d, 0.0, 0.0])
     two = slice(driven, driven + 2)
     q[two, two] += density * np.array([[d**3 / 3, d * d / 2], [d * d / 2, d]])
@@ -85,7 +86,7 @@ def test_looking_ahead_is_predicting(i):
     b = fresh_bank()
     for name in STATE:
         b[name][i] = 0.01 * rng.standard_normal()
-    if i < bank.N_SLOPES:
+    if i < bank.CURVES:
         b["curvature"][i] = 0.0
     before = float(b["height_m"][i])
     bank.extrapolate_bank(b, 0.012)

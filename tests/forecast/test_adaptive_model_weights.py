@@ -11,24 +11,20 @@ from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.runner import run_method, score_run
 from surffollow.benchmark.scene import make_scene
 from surffollow.benchmark.trials import Job, excursion
-from surffollow.forecast.estimation.model_bank import (
-    BANK,
-    CURVE,
-    SLOPE,
-    WAVE,
-)
+from surffollow.forecast.estimation.model_bank import BANK
 from surffollow.forecast.estimation.model_weights import update_weights
 from surffollow.forecast.plant.shadow_axes import record_setpoints
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES, QUICK_RATE
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_estimation import CURVES, N_MODELS, WAVES
 from surffollow.sim.profiles import Profile
 
 from .feeding import default_params
 
 NOISE_M = 2.5e-4
 OLD, NEW = 0, 2
-CALM = int(np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 2] == 0.05))[0])
+CALM = int(np.flatnonzero(BANK[:CURVES, 1] == 0.05)[0])
 AT_ONCE_S = 10.0
 
 
@@ -64,8 +60,8 @@ def test_weights_have_a_time_constant_that_is_shorter_while_little_was_scored():
         assert early == pytest.approx(1.0 - math.exp(-0.004 / (0.1 * 0.02)))
 
 
-def odds_of(kind: int, score_m2: float, scored: int) -> float:
-    """Weight of the first model of a kind over that of the calm one, all scores being alike."""
+def odds_of(i: int, score_m2: float, scored: int) -> float:
+    """Weight of model i over that of the calm one, all scores being alike."""
     a = zeros(AdaptiveState)[0]
     a["noise"]["sigma_m"], a["weights"]["scored"], a["estimate"]["samples"] = (
         NOISE_M,
@@ -74,17 +70,16 @@ def odds_of(kind: int, score_m2: float, scored: int) -> float:
     )
     a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = score_m2
     update_weights(default_params(), a, AT_ONCE_S)
-    i = int(np.flatnonzero(BANK[:, 0] == kind)[0])
     return float(a["weights"]["weight"][i] / a["weights"]["weight"][CALM])
 
 
 def test_the_chance_penalty_acts_in_noise_and_is_greatest_for_waves():
     noise, rough = 1.2 * NOISE_M**2, (20.0 * NOISE_M) ** 2
-    for kind in (CURVE, WAVE):
-        assert odds_of(kind, noise, FULL_POWER_SAMPLES) < odds_of(kind, rough, FULL_POWER_SAMPLES) / 2.5, (
+    for first in (CURVES, WAVES):
+        assert odds_of(first, noise, FULL_POWER_SAMPLES) < odds_of(first, rough, FULL_POWER_SAMPLES) / 2.5, (
             "where noise hides nothing it is free"
         )
-    assert odds_of(WAVE, noise, FULL_POWER_SAMPLES) < odds_of(CURVE, noise, FULL_POWER_SAMPLES) / 30.0
+    assert odds_of(WAVES, noise, FULL_POWER_SAMPLES) < odds_of(CURVES, noise, FULL_POWER_SAMPLES) / 30.0
 
 
 def test_waves_of_which_samples_are_too_sparse_have_no_weight():
@@ -94,8 +89,8 @@ def test_waves_of_which_samples_are_too_sparse_have_no_weight():
     a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = (20.0 * NOISE_M) ** 2
     a["kinematics"]["speed_mps"], a["prediction"]["interval_s"] = 0.4, 0.1
     update_weights(default_params(), a, AT_ONCE_S)
-    waves = np.flatnonzero(BANK[:, 0] == WAVE)
-    length_m = 2.0 * math.pi / BANK[waves, 1]
+    waves = np.arange(WAVES, N_MODELS)
+    length_m = 2.0 * math.pi / BANK[waves, 0]
     assert 0 < np.sum(length_m < 0.12) < len(waves)
     assert ((a["weights"]["weight"][waves] > 0.0) == (length_m > 0.12)).all()
 
@@ -110,8 +105,8 @@ def effort_odds(rms_m: float, scored: int) -> float:
     )
     a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = rms_m * rms_m
     still, jumpy = 2, 3  # both follow slopes
-    assert tuple(BANK[[still, jumpy], 0]) == (SLOPE, SLOPE)
-    a["shadow"]["log_effort"][jumpy] = math.log(101.0)
+    assert max(still, jumpy) < CURVES
+    a["shadow"]["effort"][jumpy] = 100.0
     update_weights(default_params(), a, AT_ONCE_S)
     return float(a["weights"]["weight"][still] / a["weights"]["weight"][jumpy])
 
@@ -124,8 +119,7 @@ def test_the_effort_is_the_mean_squared_acceleration_of_the_recorded_setpoints()
         record_setpoints(a)
     effort = QUICK_RATE * 1.0 * (1.0 - QUICK_RATE)
     assert a["shadow"]["effort"][NEW] == pytest.approx(effort)
-    assert a["shadow"]["log_effort"][NEW] == pytest.approx(math.log1p(effort))
-    assert a["shadow"]["effort"][OLD] == a["shadow"]["log_effort"][OLD] == 0.0
+    assert a["shadow"]["effort"][OLD] == 0.0
 
 
 def test_of_two_models_that_fit_rough_ground_alike_the_one_with_less_effort_has_the_weight():

@@ -230,7 +230,7 @@ def test_the_attitude_setpoint_keeps_its_limits():
     expected = normal_of(0.4, 0.3)
     axes, speeds = [a["attitude"]["axis"].copy()], [a["attitude"]["angular_velocity_radps"].copy()]
     for _ in range(2000):
-        limit_attitude(params, a["attitude"], *expected, 1e-3)
+        limit_attitude(params, a["attitude"], tuple(expected), 1e-3)
         axes.append(a["attitude"]["axis"].copy())
         speeds.append(a["attitude"]["angular_velocity_radps"].copy())
     steps = [angle_between(u, v) for u, v in itertools.pairwise(axes)]
@@ -241,7 +241,7 @@ def test_the_attitude_setpoint_keeps_its_limits():
     still = a["attitude"]["axis"].copy()
     for k in range(100):
         near = still + 4e-4 * np.array([math.sin(k), math.cos(k), 0.0]) + (expected - still) * 0.3
-        limit_attitude(params, a["attitude"], *(near / np.linalg.norm(near)), 1e-3)
+        limit_attitude(params, a["attitude"], tuple(near / np.linalg.norm(near)), 1e-3)
     assert angle_between(still, a["attitude"]["axis"]) < 1e-4
 
 
@@ -251,10 +251,11 @@ def test_rotation_between_two_directions_turns_one_into_the_other():
     rng = np.random.default_rng(2)
     for _ in range(100):
         a, b = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
-        *w, angle = rotation_between(*a, *b)
+        w, angle = rotation_between(a, b)
         assert Rotation.from_rotvec(w).apply(a) == pytest.approx(b, abs=1e-12)
         assert angle == pytest.approx(np.linalg.norm(w), abs=1e-12)
-    assert rotation_between(0.0, 0.0, 1.0, 0.0, 0.0, -1.0) == (0.0, 0.0, 0.0, 0.0)
+    up = np.array([0.0, 0.0, 1.0])
+    assert rotation_between(up, -up) == ((0.0, 0.0, 0.0), 0.0)
 
 
 def test_rotation_demanded_is_limited_and_switched_by_parameters():

@@ -111,9 +111,8 @@ class Bench:
 
     def turned_by(self, wanted_rad: float) -> float:
         """How far the test lets the axis turn of what is wanted [rad]."""
-        x, _, _ = rotation_response.tested_direction(
-            self.a["rotation"], np.sin(self.tilt + wanted_rad), 0.0, np.cos(self.tilt + wanted_rad)
-        )
+        wanted = (np.sin(self.tilt + wanted_rad), 0.0, np.cos(self.tilt + wanted_rad))
+        x, _, _ = rotation_response.tested_direction(self.a["rotation"], wanted)
         return float(np.arcsin(x)) - self.tilt
 
 

@@ -10,9 +10,9 @@ from surffollow.benchmark.runner import run_method
 from surffollow.benchmark.scene import make_scene
 from surffollow.forecast.estimation.model_bank import (
     BANK,
+    CURVES,
     N_MODELS,
     SCALE,
-    SLOPE,
     WAVES,
     extrapolate_bank,
 )
@@ -44,7 +44,7 @@ def test_a_model_asks_for_no_more_than_the_steepest_ground_allows(
     compute_setpoints(a, ahead_m, lead_m, steepest, 0.1)
     got = a["blend"]["model_m"] - 2.1
     extrapolate_bank(a["bank"], ahead_m)
-    for i in np.flatnonzero(BANK[:, 0] == SLOPE):
+    for i in range(CURVES):
         free = a["bank"]["rise_m"][i] + lead_m * a["bank"]["slope_ahead"][i]
         assert got[i] == pytest.approx(min(max(free, -most), most), abs=1e-12)
     assert (np.abs(got) <= most + 1e-12).all()
@@ -71,7 +71,7 @@ def test_falling_ground_that_is_not_seen_counts_as_level(
     a["sample"]["lead_m"] = -trail_m
     a["prediction"]["interval_s"], a["plant"]["tau_s"] = interval_s, 0.04
     compute_setpoints(a, ahead_m, lead_m, 3.0, 0.1)
-    straight = np.flatnonzero((BANK[:, 0] == SLOPE) & (BANK[:, 1] > 1.0))
+    straight = np.flatnonzero(BANK[:CURVES, 0] > 1.0)
     way = ahead_m + lead_m
     falls = slope * way < 0.0
     expected = slope * (way - level_m) if falls else slope * way
@@ -89,7 +89,7 @@ def test_the_slope_of_the_blend_is_its_derivative(steepest, ahead_m):
     weights = rng.uniform(size=N_MODELS)
     a["weights"]["weight"] = weights / weights.sum()
     a["bank"]["slope"] = rng.uniform(-0.3, 0.3, N_MODELS)
-    a["bank"]["curvature"] = np.where(BANK[:, 0] == SLOPE, 0.0, rng.uniform(-5.0, 5.0, N_MODELS))
+    a["bank"]["curvature"] = np.where(np.arange(N_MODELS) < CURVES, 0.0, rng.uniform(-5.0, 5.0, N_MODELS))
     (low, _), (high, _) = (compute_setpoints(a, ahead_m + e, lead_m, steepest, 0.1) for e in (-d, d))
     _, slope = compute_setpoints(a, ahead_m, lead_m, steepest, 0.1)
     assert slope == pytest.approx((high - low) / (2.0 * d), rel=1e-4, abs=1e-6)
@@ -102,8 +102,8 @@ def test_between_two_blends_the_setpoint_rises_with_the_ground_in_the_direction_
     a["sample"]["heading_x"], a["kinematics"]["speed_mps"] = 1.0, 0.2
     a["kinematics"]["velocity_x_mps"] = -0.2 if goes_back else 0.2
     a["plant"]["tau_s"], a["estimate"]["slope_power"] = 0.0, 0.01
-    a["bank"]["slope"][:WAVES] = np.where(BANK[:WAVES, 1] > 1.0, 0.1, 0.0)
-    straight = float(np.mean(BANK[:WAVES, 1] > 1.0))
+    a["bank"]["slope"][:WAVES] = np.where(BANK[:WAVES, 0] > 1.0, 0.1, 0.0)
+    straight = float(np.mean(BANK[:WAVES, 0] > 1.0))
     blend_setpoints(default_params(), a, 0, 0.0, 0.1, False)
     expected_mps = 0.1 * straight * (-0.2 if goes_back else 0.2)
     assert a["blend"]["rate_mps"] == pytest.approx(expected_mps, rel=1e-3)

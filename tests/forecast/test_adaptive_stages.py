@@ -9,7 +9,7 @@ import pytest
 
 from surffollow.follower import Follower
 from surffollow.forecast.estimation.estimate import update_estimate
-from surffollow.forecast.estimation.model_bank import BANK, N_MODELS, SLOPE
+from surffollow.forecast.estimation.model_bank import BANK
 from surffollow.forecast.plant.plant_identification import (
     record_latch,
     record_own_setpoint,
@@ -31,6 +31,7 @@ from surffollow.forecast.terrain.terrain_memory import CELLS, new_memory, read_h
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_estimation import CURVES
 from surffollow.shm.layout_follow import SenseState
 
 from .feeding import MS, default_params, feed
@@ -130,9 +131,7 @@ def test_the_noise_is_estimated_to_a_tenth_and_soon():
 
 def test_the_slope_stays_when_a_step_is_confirmed():
     x = 1e-3 * np.arange(700)
-    model = next(
-        i for i in range(N_MODELS) if BANK[i, 0] == SLOPE and BANK[i, 1] > 1.0 and BANK[i, 2] == 0.05
-    )
+    model = int(np.flatnonzero((BANK[:CURVES, 0] > 1.0) & (BANK[:CURVES, 1] == 0.05))[0])
     for k in (604, 610, 700):
         a, taken = feed((0.1 * x + 0.03 * (np.arange(700) > 600))[:k])
         assert a["bank"]["slope"][model] == pytest.approx(0.1, abs=0.04)
@@ -142,9 +141,7 @@ def test_the_slope_stays_when_a_step_is_confirmed():
 
 def test_the_slope_along_the_way_is_kept_over_a_rest():
     """GIVEN a slope WHEN the tool rests for 2 s and starts again THEN the models have it at once."""
-    model = next(
-        i for i in range(N_MODELS) if BANK[i, 0] == SLOPE and BANK[i, 1] > 1.0 and BANK[i, 2] == 0.05
-    )
+    model = int(np.flatnonzero((BANK[:CURVES, 0] > 1.0) & (BANK[:CURVES, 1] == 0.05))[0])
     a = zeros(AdaptiveState)[0]
     a["kinematics"]["speed_mps"] = 0.25
     a, _ = feed(0.1e-3 * np.arange(700), sigma=1e-3, a=a)
@@ -251,12 +248,15 @@ def test_range_prediction_follows_a_ramp_rejects_a_spike_and_accepts_a_jump():
     a = zeros(AdaptiveState)[0]
     for k in range(400):
         update_prediction(
-            a["prediction"], 10**9 + k * 100 * MS, 5.0 + 0.03 * k * 0.1 + (2.0 if k == 350 else 0.0)
+            default_params(),
+            a["prediction"],
+            10**9 + k * 100 * MS,
+            5.0 + 0.03 * k * 0.1 + (2.0 if k == 350 else 0.0),
         )
     # the trend decays: a third of the change over the horizon is missing
     assert predict_range(a["prediction"], 0.5) == pytest.approx(5.0 + 0.03 * (39.9 + 0.5), abs=5e-3)
     for k in range(400, 403):
-        update_prediction(a["prediction"], 10**9 + k * 100 * MS, 8.0)
+        update_prediction(default_params(), a["prediction"], 10**9 + k * 100 * MS, 8.0)
     assert predict_range(a["prediction"], 0.0) == pytest.approx(8.0, abs=0.1)
 
 
@@ -264,7 +264,9 @@ def test_range_prediction_follows_a_ramp_rejects_a_spike_and_accepts_a_jump():
 def test_range_prediction_of_a_constant_range_is_constant(horizon_s):
     prediction, rng, errors = zeros(AdaptiveState)[0]["prediction"], np.random.default_rng(2), []
     for k in range(2000):
-        update_prediction(prediction, 10**9 + k * 100 * MS, 2.0 + 0.01 * rng.standard_normal())
+        update_prediction(
+            default_params(), prediction, 10**9 + k * 100 * MS, 2.0 + 0.01 * rng.standard_normal()
+        )
         errors.append(predict_range(prediction, horizon_s) - 2.0)
     assert abs(np.mean(errors[100:])) < 1e-3
     assert np.std(errors[100:]) < 0.01 * (1.5 if horizon_s < 1.0 else 3.0)
@@ -322,7 +324,7 @@ def predictions(t_s, ranges_m, horizon_s):
     """Forecasts after every range but the first, and the record."""
     prediction, made = zeros(AdaptiveState)[0]["prediction"], []
     for t, range_m in zip(t_s, ranges_m, strict=True):
-        update_prediction(prediction, 10**9 + round(t * 1e9), range_m)
+        update_prediction(default_params(), prediction, 10**9 + round(t * 1e9), range_m)
         made.append(predict_range(prediction, horizon_s))
     return np.array(made[1:]), prediction
 
@@ -515,7 +517,7 @@ def test_a_latency_needs_sixty_samples_of_one_rest(samples, identified):
     latency["count"], latency["climb_climb"] = samples, samples * 0.03**2
     latency["climb_height"] = 0.02 * latency["climb_climb"]  # 20 ms
     latency["height_height"] = 0.02**2 * latency["climb_climb"]
-    update_correction(a, True)
+    update_correction(default_params(), a)
     assert float(latency["correction_s"]) == pytest.approx(0.02 if identified else 0.0, rel=0.1)
 
 
@@ -543,7 +545,7 @@ def test_a_rest_that_begins_with_a_glitch_identifies_the_latency(glitch_m):
         push_pose(sense, t_ns, np.array([0.0, 0.0, bobbing_m(t), 0.0, 0.0, 0.0, 1.0]), 0)
         h = bobbing_m(t) - bobbing_m(t - 0.02) + 2e-4 * rng.standard_normal()
         if k >= 20:
-            observe_height(a, sense, t_ns, h + (glitch_m if k == 20 else 0.0), True, True, pose)
+            observe_height(default_params(), a, sense, t_ns, h + (glitch_m if k == 20 else 0.0), pose)
     assert float(a["latency"]["correction_s"]) == pytest.approx(0.02, abs=2e-3)
 
 

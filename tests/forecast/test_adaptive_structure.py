@@ -41,7 +41,6 @@ OWNERS = {
     "estimate": "estimate",
     "controller": "controller_clock",
     "plant": "plant_identification",
-    "adaptation": "adaptation",
     "blend": "setpoint_blend",
     "setpoint": "setpoint_limits",
     "buffer": "terrain_buffer",
@@ -157,7 +156,7 @@ def test_a_function_that_gets_one_record_writes_it_under_its_name():
     assert [r for _, r in records_written("def f(plan):\n    plan.setpoint_m = 0.0\n")] == ["plan"]
     attitude = zeros(AdaptiveState)[0]["attitude"]
     attitude["axis"][2] = 1.0
-    limit_attitude(zeros(Params)[0], attitude, 0.0, 0.0, 1.0, 1e-3)
+    limit_attitude(zeros(Params)[0], attitude, (0.0, 0.0, 1.0), 1e-3)
     assert attitude["axis"].tolist() == [0.0, 0.0, 1.0]
 
 

@@ -7,9 +7,9 @@ import math
 import pytest
 
 from surffollow.forecast.adaptive_step import target_of_preview
+from surffollow.forecast.plant.controller_clock import plan_call_s
 from surffollow.forecast.sensing.unseen_ground import rise_rate, uncertain_clearance
 from surffollow.forecast.setpoint.setpoint_blend import permitted_setpoint
-from surffollow.forecast.terrain.preview import plan_call_s
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_LIFT, RESPONSE_RUN

@@ -162,24 +162,37 @@ class Periods:
     """The controller's periods, as the follower keeps them; `t_ns` counts from START."""
 
     def __init__(self):
-        self._controller = zeros(AdaptiveState)[0]["controller"]
+        self._adaptive = zeros(AdaptiveState)[0]
+        self._controller = self._adaptive["controller"]
+        self._adaptive["preview"]["share"] = 1.0
 
     def report(self, number, t_ns):
         observe_latch(self._controller, zeros(Inputs)[0], number, START + t_ns)
 
+    @staticmethod
+    def _inputs(answers_each):
+        """Of a caller who gives a range, or of a service."""
+        inputs = zeros(Inputs)[0]
+        inputs["n_ranges"] = answers_each
+        return inputs
+
     def is_due(self, t_ns, answers_each=False, call_s=0.0):
         """Whether a setpoint is due; `answers_each`: the caller takes each answer himself."""
-        return period_is_due(self._controller, call_s, int(answers_each), START + t_ns) != 0
+        self._adaptive["setpoint"]["interval_s"] = call_s
+        return period_is_due(self._adaptive, self._inputs(answers_each), START + t_ns) != 0
 
     def answer(self, t_ns):
         """A setpoint is computed now; when the controller takes it."""
         self._controller["period_ns"] = START + t_ns
         self._controller["periods"] += 1
-        open_period(self._controller, 0.0, 0, START + t_ns)
+        self._adaptive["setpoint"]["interval_s"] = 0.0
+        self._adaptive["clock"]["now_ns"] = START + t_ns
+        open_period(self._adaptive, self._inputs(False))
         return self.latch_ns(t_ns)
 
     def latch_ns(self, t_ns, answers_each=False):
-        return int(latch_time(self._controller, 0.0, int(answers_each), START + t_ns)) - START
+        self._adaptive["setpoint"]["interval_s"] = 0.0
+        return int(latch_time(self._adaptive, self._inputs(answers_each), START + t_ns)) - START
 
 
 def test_periods_are_put_before_reports_that_come_a_hundred_times_a_second():

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
-from surffollow.client.pose import FUTURE_NS, MAX_POSITION_M, checked_pose, checked_stamp
+from surffollow.client.pose import FUTURE_NS, checked_pose, checked_stamp
 from surffollow.client.reclaim import CLAIM_ANSWER_S, CLAIM_RETRY_S, POSE
 from surffollow.client.service_requests import ServiceRequests
 from surffollow.client.slot import CLAIM_PAUSE_S, GENERATION
+from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import BusyError, PoseError, RefusedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import SLOTS, stride

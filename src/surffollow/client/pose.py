@@ -6,12 +6,11 @@ import math
 import operator
 from collections.abc import Sequence
 
+from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
 from surffollow.errors import PoseError
 from surffollow.units import format_ns
 
 FUTURE_NS = 1_000_000
-NORM_TOLERANCE = 1e-3
-MAX_POSITION_M = 1e9
 
 
 def checked_pose(pose: Sequence[float]) -> tuple[float, ...]:

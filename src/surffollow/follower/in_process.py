@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, names_given
+from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
 from surffollow.config.window_fit import FITTED, check_fit
 from surffollow.errors import PoseError, UsageError
 from surffollow.follower.kernel_time import PoseIntervals, kernel_time
@@ -26,7 +27,7 @@ from surffollow.follower.reading_stamps import Timestamps
 from surffollow.follower.setup import Config, read_setup
 from surffollow.follower.state_report import state_report
 from surffollow.forecast.horizon import forecast_range
-from surffollow.forecast.pose import MAX_POSITION_M, NO_POSE, TAKEN, TOO_FAR, report_pose
+from surffollow.forecast.pose import report_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.forecast.terrain.terrain_memory import new_memory, read_preview, store_footprint
 from surffollow.shm.dtypes import zeros
@@ -200,15 +201,18 @@ class Follower:
         except (TypeError, ValueError, OverflowError):
             raise PoseError(f"a pose is seven numbers x y z qx qy qz qw, not {pose!r}") from None
         t = kernel_time(t_ns, PoseError)
-        found = report_pose(self._state, self._stepped_ns, t, p)
-        if found == NO_POSE:
+        x, y, z, qx, qy, qz, qw = p.tolist()
+        norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+        if not (math.isfinite(x + y + z) and abs(norm - 1.0) <= NORM_TOLERANCE):
             raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
-        if found == TOO_FAR:
+        if max(abs(x), abs(y), abs(z)) > MAX_POSITION_M:
             raise PoseError(f"pose {p.tolist()} lies beyond {MAX_POSITION_M:g} m")
-        if found == TAKEN:
+        p[3:] /= norm
+        taken = bool(report_pose(self._state, self._stepped_ns, t, p))
+        if taken:
             self._pose_intervals.check(t)
             self._stamps.note_pose(t)
-        return bool(found == TAKEN)
+        return taken
 
     def step(self, t_ns: int, ranges_m: Sequence[float | None] | NDArray[Any]) -> NDArray[np.float64]:
         """Step once, with readings or without.

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surffollow.config.params import PARAMS, add_given, check_param, names_given, param_name
+from surffollow.config.pose_limits import NORM_TOLERANCE
 from surffollow.config.toml_file import read_toml
 from surffollow.config.window_fit import check_fit, default_too_close
 from surffollow.errors import ConfigError
-from surffollow.forecast.pose import QUATERNION_TOLERANCE
 from surffollow.forecast.reference_scales import scaled_defaults
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE
 from surffollow.units import parse_quantity
@@ -147,7 +147,7 @@ def _mounts(sensors: object) -> list[dict[str, Any]]:
         if not isinstance(s, Mapping) or not set(s) <= known:
             raise ConfigError(f"{where} is {s!r}; its keys are {', '.join(sorted(known))}")
         q = np.array(_numbers(s.get("orientation", (0.0, 0.0, 0.0, 1.0)), 4, "1", f"{where}.orientation"))
-        if abs(float(np.linalg.norm(q)) - 1.0) > QUATERNION_TOLERANCE:
+        if abs(float(np.linalg.norm(q)) - 1.0) > NORM_TOLERANCE:
             raise ConfigError(
                 f"{where}.orientation is {q.tolist()}; it must be a unit quaternion qx qy qz qw"
             )

@@ -8,6 +8,7 @@ import math
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
 from surffollow.forecast.estimation import adaptation
+from surffollow.forecast.modes import orients
 from surffollow.forecast.plant import axis_model, controller_clock, plant_identification
 from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
@@ -19,21 +20,19 @@ from surffollow.shm.jit import jit, jit_inlined
 
 
 @jit
-def distance_ahead(params, adaptive, sense):
+def distance_ahead(adaptive, sense, age_s):
     """Distance from the newest footprint to the point under the tool when the demand acts [m].
 
     Parameters
     ----------
-    params, adaptive, sense : records of `Params`, `AdaptiveState`, `SenseState`
+    adaptive, sense : records of `AdaptiveState`, `SenseState`
+    age_s : float64  of the newest pose at that time [s]
     """
-    motion, sample, newest = adaptive.kinematics, adaptive.sample, newest_pose(sense)
+    motion, newest = adaptive.kinematics, 7 * newest_pose(sense)
     if kinematics.is_at_rest(motion):
         return 0.0
-    gap_x = sense.pose[7 * newest] + sample.tip_x_m - sample.x_m
-    gap_y = sense.pose[7 * newest + 1] + sample.tip_y_m - sample.y_m
-    age_ns = adaptive.clock.now_ns - sense.pose_t_ns[newest]
-    delay_s = age_ns * 1e-9 + controller_clock.mean_wait_s(params, adaptive.controller)
-    return kinematics.distance_along(motion, gap_x, gap_y) + motion.speed_mps * delay_s
+    lead_m = measurement.footprint_lead(adaptive, sense.pose[newest], sense.pose[newest + 1])
+    return motion.speed_mps * age_s - lead_m
 
 
 @jit_inlined
@@ -55,8 +54,7 @@ def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     float64 [m], bool
     """
     blend, now_ns = adaptive.blend, adaptive.clock.now_ns
-    call_s = preview.plan_call_s(adaptive)
-    due = controller_clock.period_is_due(adaptive.controller, call_s, inputs.n_ranges, now_ns)
+    due = controller_clock.period_is_due(adaptive, inputs, now_ns)
     if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
         target = setpoint_blend.blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
     else:
@@ -75,15 +73,13 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     ahead_m : float64     distance from `distance_ahead` [m]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    motion, controller, now_ns = adaptive.kinematics, adaptive.controller, adaptive.clock.now_ns
-    call_s = preview.plan_call_s(adaptive)
-    latch_ns = controller_clock.open_period(controller, call_s, inputs.n_ranges, now_ns)
+    motion, latch_ns = adaptive.kinematics, controller_clock.open_period(adaptive, inputs)
     since_pose_m = motion.speed_mps * (latch_ns - pose_t_ns) * 1e-9
-    wait_s = controller_clock.mean_wait_s(params, controller)
-    ahead_m += motion.speed_mps * ((latch_ns - now_ns) * 1e-9 - wait_s)
+    wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
+    ahead_m += motion.speed_mps * ((latch_ns - adaptive.clock.now_ns) * 1e-9 - wait_s)
     known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
     if preview.update_share(adaptive, known, plant_identification.model_error(adaptive.plant)):
-        z, v = plant_identification.predict_axis(params, adaptive, latch_ns)
+        z, v = plant_identification.predict_axis(params, adaptive.plant, latch_ns)
         preview.extrapolate_ground(adaptive, known, ahead_m)
         standoff_m += tested_setpoint.setpoint_shift_m(adaptive.response)
         preview_control.plan_setpoint(params, adaptive, known, z, v, standoff_m)
@@ -132,46 +128,38 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     estimate, controller, setpoint = adaptive.estimate, adaptive.controller, adaptive.setpoint
     newest = newest_pose(sense)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
-    orients = params.orient != 0 and params.n_channels >= 3
     if clock.update_clock(adaptive.clock, inputs.t_ns, pose_t_ns):
         return health.forget(adaptive.health, layout_adaptive.FAULT_CLOCK)
     if kinematics.update_kinematics(params, adaptive.kinematics, sense):
         setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
     applied = params.run == layout.RUN_NORMAL
     plant_identification.update_plant(params, adaptive, sense, inputs.n_ranges, params.adapt != 0 and applied)
-    measurement.process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
-    if not orients and params.n_channels > 1:
+    measurement.process_sample(params, adaptive, sense, fold, inputs, output, pose)
+    if not orients(params) and params.n_channels > 1:
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
-    stuck = health.is_stuck(adaptive)
-    health.update_health(params, adaptive, sense)
-    if kinematics.has_jumped(adaptive.kinematics, adaptive.clock.now_ns):
-        preview.withdraw_preview(adaptive.preview)
-        known_ground.reset_known_ground(adaptive.known)
-    if stuck:
-        health.latch_fault(adaptive.health, layout_adaptive.FAULT_STUCK)
-        preview.withdraw_preview(adaptive.preview)
     close = layout.TOO_CLOSE if fold.close != 0 else 0
-    if close != 0:
-        health.latch_fault(adaptive.health, layout_adaptive.FAULT_CLOSE)
-    if health.is_lost(params, adaptive):
-        if estimate.samples > 0 and not stuck:
-            health.latch_fault(adaptive.health, layout_adaptive.FAULT_LOST)
-        setpoint_limits.release_setpoint(setpoint)
+    stuck, lost = health.update_health(params, adaptive, sense, close != 0)
+    jumped = kinematics.has_jumped(adaptive.kinematics, adaptive.clock.now_ns)
+    if jumped:
+        known_ground.reset_known_ground(adaptive.known)
+    if jumped or stuck or lost:
         preview.withdraw_preview(adaptive.preview)
+    if lost:
+        setpoint_limits.release_setpoint(setpoint)
         return layout.NO_SENSOR | layout.SENSOR_LOST | close
     if setpoint.in_dryrun != 0 and params.run != layout.RUN_DRYRUN:  # setpoints of DRYRUN were not applied
         setpoint_limits.mark_dryrun(setpoint, 0)
         setpoint_limits.release_setpoint(setpoint)
         attitude.release_attitude(adaptive.attitude)
-    standoff_m = standoff.standoff_height(params, adaptive.plane, sense, orients)
-    ahead = distance_ahead(params, adaptive, sense)
+    standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     answered = controller_clock.observe_latch(controller, inputs, sense.pose_count, adaptive.clock.now_ns)
+    age_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + controller_clock.mean_wait_s(params, controller)
+    ahead = distance_ahead(adaptive, sense, age_s)
     target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
     target = target_of_preview(params, adaptive, target, standoff_m)
-    age = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + controller_clock.mean_wait_s(params, controller)
-    target = setpoint_blend.permitted_setpoint(params, adaptive, target, tool_z, standoff_m, age, stuck)
+    target = setpoint_blend.permitted_setpoint(params, adaptive, target, tool_z, standoff_m, age_s, stuck)
     setpoint_limits.limit_setpoint(params, adaptive, adaptive.clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
@@ -186,7 +174,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         limited = fold_back.lead_away(params, limited)
         attitude.release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     output.demand[2] = limited
-    if close == 0 and not stuck and orients and adaptive.plane.count > 0:
+    if close == 0 and not stuck and orients(params) and adaptive.plane.count > 0:
         attitude.demand_rotation(params, adaptive, sense, output)
     plant_identification.record_own_setpoint(adaptive, answered, tool_z + (limited if applied else 0.0))
     if params.run == layout.RUN_DRYRUN:

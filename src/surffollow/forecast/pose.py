@@ -9,10 +9,6 @@ from surffollow.forecast.sensing.clock import clock_jump_ns
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
-QUATERNION_TOLERANCE = 1e-3
-MAX_POSITION_M = 1e9  # as the service's client
-TAKEN, NO_POSE, TOO_FAR = 1, 2, 3  # what `report_pose` finds
-
 
 @jit_inlined
 def rotate(qx, qy, qz, qw, x, y, z):
@@ -40,26 +36,25 @@ def to_world(pose, at, x, y, z):
 
 
 @jit
-def rotation_between(ax, ay, az, bx, by, bz):
+def rotation_between(a, b):
     """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
 
     For opposite vectors the axis is undefined; the rotation is then zero.
 
     Parameters
     ----------
-    ax, ay, az : float64  unit vector a
-    bx, by, bz : float64  unit vector b
+    a, b : (3,) float64, or three of them  unit vectors
 
     Returns
     -------
-    4 × float64 [rad]
+    3 × float64, float64 [rad]
     """
-    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    sine = math.sqrt(x * x + y * y + z * z)
     if not sine > 1e-12:
-        return 0.0, 0.0, 0.0, 0.0
-    angle = math.atan2(sine, ax * bx + ay * by + az * bz)
-    return cx * angle / sine, cy * angle / sine, cz * angle / sine, angle
+        return (0.0, 0.0, 0.0), 0.0
+    angle = math.atan2(sine, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    return (x * angle / sine, y * angle / sine, z * angle / sine), angle
 
 
 @jit_inlined
@@ -105,25 +100,14 @@ def push_pose(sense, t_ns, pose, at):
 
 @jit
 def report_pose(state, step_ns, t_ns, pose):
-    """Check a pose report, make its quaternion one of norm 1, and append it to the history.
+    """Append a pose report to the history; 0: refused, it is not newer than the last.
 
     Parameters
     ----------
     state : (1,) records of `FollowState`
     step_ns, t_ns : int64     time of the latest step; when the pose was true
-    pose : (7,) float64       x y z [m], qx qy qz qw; normalised in place
-
-    Returns
-    -------
-    int64  TAKEN; 0: refused, not newer than the last; NO_POSE: not finite, or the norm is off; TOO_FAR
+    pose : (7,) float64       x y z [m], unit quaternion qx qy qz qw
     """
-    norm = math.sqrt(pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6])
-    if not (math.isfinite(pose[0] + pose[1] + pose[2]) and abs(norm - 1.0) <= QUATERNION_TOLERANCE):
-        return NO_POSE
-    if not max(abs(pose[0]), abs(pose[1]), abs(pose[2])) <= MAX_POSITION_M:
-        return TOO_FAR
-    for i in range(3, 7):
-        pose[i] /= norm
     sense = state[0].sense
     if sense.pose_count > 0:
         newest = sense.pose_t_ns[newest_pose(sense)]
@@ -134,8 +118,8 @@ def report_pose(state, step_ns, t_ns, pose):
 
 
 @jit_inlined
-def pose_at(sense, t_ns, interpolate, out):
-    """The tool's pose at `t_ns` into `out`: the latest, or interpolated between its neighbours.
+def pose_at(sense, t_ns, out):
+    """The tool's pose at `t_ns` into `out`, interpolated between its neighbours.
 
     Outside the history the nearest end is taken: nothing is extrapolated. Needs one pose at least.
 
@@ -143,14 +127,11 @@ def pose_at(sense, t_ns, interpolate, out):
     ----------
     sense : record of `SenseState`
     t_ns : int64        time of the pose
-    interpolate : int   0: the latest pose
     out : (7,) float64  receives x y z [m], qx qy qz qw
     """
-    k = sense.pose_count - 1
-    if interpolate != 0:
-        k = newest_until(sense.pose_t_ns, sense.pose_count, t_ns)
+    k = newest_until(sense.pose_t_ns, sense.pose_count, t_ns)
     a = k & (POSES - 1)
-    if interpolate == 0 or a == newest_pose(sense) or sense.pose_t_ns[a] > t_ns:
+    if a == newest_pose(sense) or sense.pose_t_ns[a] > t_ns:
         for i in range(7):
             out[i] = sense.pose[a * 7 + i]
         return

@@ -7,13 +7,12 @@ PAUSE_NS = 100_000_000  # longer without a call or a sample is a pause; window o
 LONG_GAP_NS = 1_000_000_000
 # in a row are no chance: at a start, near the fold-back, with a timestamp that goes back
 CONFIRMATION_SAMPLES = 3
-# fewer: the setpoint has not arrived; no descent in a drop-out; no plane of faulty beams
-CONFIRMED_SAMPLES = 25
-USUAL_SAMPLES = 20  # in the usual value of a delay, an interval, a distance, a height
+# in the usual value of a delay, an interval, a distance, a height; fewer: the setpoint has not arrived, no
+# descent in a drop-out, no plane of faulty beams
+USUAL_SAMPLES = 20
 QUICK_RATE, SLOW_RATE = 0.02, 0.004  # of means over 50 and 250 samples or reports
 FULL_POWER_SAMPLES = 500  # for the full power of the performance index; a rest of the tool is concluded
 PLAUSIBLE_SLOPE = 0.2  # of ground that nothing is known of
 MAX_SLOPE = 3.0  # 72 degrees: steeper is no surface that a tool follows
 APART_M = 5e-3  # footprints so far apart are of two places: one leads, is off the path, gives a slope
-GATE_SCALES = 8.0  # in usual deviations: what deviates more is an outlier
 REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance

@@ -48,7 +48,8 @@ def find_targets(params, state, output, pose, interpolate):
     Parameters
     ----------
     params, state, output : records of `Params`, `FollowState` (updated), `Output` (updated)
-    pose : (7,) float64 scratch, interpolate : int as in `pose_at`
+    pose : (7,) float64 scratch
+    interpolate : bool  pose at the time of a reading, not the latest
     """
     sense = state.sense
     fresh, sensor_z = 0, 0.0
@@ -57,8 +58,9 @@ def find_targets(params, state, output, pose, interpolate):
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             continue
-        pose_at(sense, sense.range_t_ns[c], interpolate, pose)
-        pose_t_ns = min(max(sense.range_t_ns[c], oldest_ns), newest_ns) if interpolate != 0 else newest_ns
+        t_ns = sense.range_t_ns[c] if interpolate else newest_ns
+        pose_at(sense, t_ns, pose)
+        pose_t_ns = min(max(t_ns, oldest_ns), newest_ns)
         x, y, z, height = footprint(pose, params.tool_from_sensor, c, sense.range_m[c])
         sensor_z = height if c == 0 else sensor_z
         target = output.target_m[3 * c : 3 * c + 3]
@@ -104,7 +106,7 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
     else:
         farthest_m = extrapolation.distance_since_reading(params, p, state.sense, t_ns)
     if fresh == 0 or params.pose_interpolate != 0:
-        pose_at(state.sense, t_ns, 0, pose)
+        pose_at(state.sense, output.pose_t_ns, pose)
         _, _, _, sensor_z_m = footprint(pose, params.tool_from_sensor, 0, 0.0)
     output.delta_h_m, output.error_m = extrapolation.paper_forecast(
         params, p, state.sense, t_ns, fresh, reading_z_m, sensor_z_m, farthest_m
@@ -211,10 +213,10 @@ def follow_step(params, state, inputs, output, scratch):
             for c in range(layout.CHANNELS):
                 s.sense.losses[c] += 1  # readings without a pose are as good as lost
         elif p.mode == layout.MODE_ADAPTIVE:
-            find_targets(p, s, o, scratch, 1)
+            find_targets(p, s, o, scratch, True)
             o.status, ready = 0, True
         else:
-            sensor_z = find_targets(p, s, o, scratch, p.pose_interpolate)
+            sensor_z = find_targets(p, s, o, scratch, p.pose_interpolate != 0)
             o.status = demand_z(p, s, i, o, sensor_z, scratch)
     if p.mode == layout.MODE_ADAPTIVE:
         o.status |= scaled_adaptive_cycle(params, state, inputs, output, scratch, ready)

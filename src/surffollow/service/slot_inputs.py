@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
 from surffollow.service import memory as m
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit, jit_pasted
@@ -12,7 +13,6 @@ from surffollow.shm.layout_board import SLOT_BYTES, SLOT_POSE, SLOT_REQUEST, Pos
 from surffollow.shm.layout_follow import POSES
 
 FUTURE_NS = 2_000_000
-MAX_POSITION_M = 1e9  # farther out no sum or product of ours is exact, or finite
 POSE_OK, POSE_NONE, POSE_BAD, POSE_TORN = 0, 1, 2, 3
 _POST_BYTES, _REQUEST_BYTES = PosePost.SIZE, RequestPost.SIZE
 
@@ -54,7 +54,7 @@ def check_pose(post: Any, now_ns: Any, oldest_ns: Any, pose: Any) -> Any:
         if i >= 3:
             norm2 += v * v
     norm = norm2**0.5
-    if abs(norm - 1.0) > 1e-3 or p.t_ns > now_ns + FUTURE_NS or p.t_ns < oldest_ns:
+    if abs(norm - 1.0) > NORM_TOLERANCE or p.t_ns > now_ns + FUTURE_NS or p.t_ns < oldest_ns:
         return POSE_BAD
     if abs(norm - 1.0) > 1e-15:
         for i in range(3, 7):

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from surffollow.config.params import PARAMS, UNIT_ENDINGS
+from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.config.stop_causes import STOP_NAMES
 from surffollow.errors import SchemaError
 from surffollow.shm import board_regions, latch_shape, layout_follow
@@ -59,7 +60,6 @@ EXCHANGE_NS = 1_000_000_000  # for one exchange, or the answer to a claim of the
 POSE_FUTURE_NS = 1_000_000
 RANGE_FUTURE_NS = 1_000_000
 RANGE_OLDEST_NS = 1_000_000_000  # older ones mean nothing to a follower
-MAX_POSITION_M = 1e9
 
 
 def c_name(schema: type[Schema], prefix: str = "sf_") -> str:

@@ -82,12 +82,6 @@ class Plant(Schema):
     tau_configured_s = F64(unit="s", doc="time constant that identification began with")
 
 
-class Adaptation(Schema):
-    """Adapted parameters (`adaptation`)."""
-
-    permitted_variance_m = F64(unit="m", doc="Permitted_Variance in force")
-
-
 class Blend(Schema):
     """Blended setpoint and its filter (`setpoint_blend`)."""
 
@@ -186,7 +180,6 @@ class AdaptiveState(Schema):
     estimate = Nested(Estimate)
     controller = Nested(Controller)
     plant = Nested(Plant)
-    adaptation = Nested(Adaptation)
     blend = Nested(Blend)
     setpoint = Nested(Setpoint)
     buffer = Nested(Buffer)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from surffollow.shm.schema import F64, I64, Schema
 
-N_MODELS, WAVES = 20, 12  # of the bank; from number WAVES on they are waves, the others may lead less
+# models of the bank: levels and slopes, from number CURVES on curves, from WAVES on waves; waves lead fully
+N_MODELS, CURVES, WAVES = 20, 9, 12
 N_AXES = N_MODELS + WAVES  # simulated: of all models with their lead, of those that may lead less without it
 N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
@@ -16,8 +17,10 @@ WITHHELD, PENDING, ACCEPTED, STEP, RESTART = range(5)  # what becomes of a sampl
 class Noise(Schema):
     """Noise of the readings (`noise`)."""
 
-    sigma_m = F64(unit="m", doc="standard deviation of a reading")
-    median_m = F64(unit="m", doc="running median of |second difference| of accepted heights")
+    sigma_m = F64(
+        unit="m",
+        doc="standard deviation of a reading, by the running median of second differences",
+    )
     recent_m = F64(2, unit="m", doc="the two accepted heights before the newest one")
 
 
@@ -88,7 +91,6 @@ class Shadow(Schema):
     velocity_mps = F64(N_AXES, unit="m/s", doc="velocity")
     before_m = F64(2 * N_MODELS, unit="m", doc="setpoints of the models in the two periods before")
     effort = F64(N_MODELS, unit="m^2/s^4", doc="mean squared acceleration of the setpoints")
-    log_effort = F64(N_MODELS, doc="ln(1 + effort in units of 1 m²/s⁴)")
 
 
 class Weights(Schema):
@@ -138,3 +140,15 @@ class Buffer(Schema):
     arc_length_m = F64(BUFFER_CELLS, unit="m", doc="mean arc length")
     x_m = F64(BUFFER_CELLS, unit="m", doc="place of its first height")
     y_m = F64(BUFFER_CELLS, unit="m")
+
+
+class MemoryCell(Schema):
+    """A cell of the terrain memory (`terrain_memory`)."""
+
+    ix = I64(doc="column in the world's x-y plane")
+    iy = I64(doc="row")
+    t_ns = I64(unit="ns", doc="when it was last written")
+    n = F64(doc="heights in its mean")
+    height_m = F64(unit="m", doc="mean height")
+    n_before = F64(doc="heights in the mean before this pass began")
+    height_before_m = F64(unit="m", doc="that mean")

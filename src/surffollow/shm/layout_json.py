@@ -9,6 +9,7 @@ from __future__ import annotations
 from importlib.metadata import version
 from typing import Any
 
+from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
 from surffollow.shm import board_regions, cheader, latch_shape, sealed
 from surffollow.shm import layout_board as lb
 from surffollow.shm import layout_follow as lf
@@ -28,7 +29,6 @@ CLAIM_NS = 300_000_000
 REQUEST_LOST_NS = 5_000_000_000
 STALE_PERIODS = 20
 STALE_MIN_NS = 5_000_000
-NORM_TOLERANCE = 1e-3
 
 
 def hex64(number: int) -> str:
@@ -203,7 +203,7 @@ def _limits() -> dict[str, float]:
         "piece_grids": lb.PIECE_GRIDS,
         "audit_entries": lb.AUDIT_ENTRIES,
         "max_region_m": ml.MAX_REGION_M,
-        "max_position_m": cheader.MAX_POSITION_M,
+        "max_position_m": MAX_POSITION_M,
         "pose_norm_tolerance": NORM_TOLERANCE,
         "first_service_fault": FIRST_SERVICE_FAULT,
     }

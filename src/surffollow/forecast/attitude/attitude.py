@@ -38,7 +38,7 @@ def predicted_normal(params, adaptive):
 
 
 @jit
-def limit_attitude(params, attitude, nx, ny, nz, dt):
+def limit_attitude(params, attitude, direction, dt):
     """Move the axis' setpoint toward a direction within limits of velocity and acceleration.
 
     A deviation within `permitted_turn_rad` moves nothing (deadband). The square-root profile limits the
@@ -47,16 +47,16 @@ def limit_attitude(params, attitude, nx, ny, nz, dt):
     Parameters
     ----------
     params, attitude : records of `Params`, `Attitude` (updated)
-    nx, ny, nz : float64  vector of the direction, world frame
-    dt : float64          time since the setpoint before [s], > 0
+    direction : 3 × float64  vector, world frame
+    dt : float64  time since the setpoint before [s], > 0
     """
     u, w = attitude.axis, attitude.angular_velocity_radps
-    ex, ey, ez, angle = rotation_between(u[0], u[1], u[2], nx, ny, nz)
+    e, angle = rotation_between(u, direction)
     angle_left = max(angle - params.permitted_turn_rad, 0.0)
     a_max = params.max_turn_accel_radps2
     speed = min(angle_left / dt, math.sqrt(2.0 * a_max * angle_left), params.max_turn_speed_radps)
     share = speed / angle if angle > 0.0 else 0.0
-    dx, dy, dz = ex * share - w[0], ey * share - w[1], ez * share - w[2]
+    dx, dy, dz = e[0] * share - w[0], e[1] * share - w[1], e[2] * share - w[2]
     change = math.sqrt(dx * dx + dy * dy + dz * dz)
     factor = a_max * dt / change if change > a_max * dt else 1.0
     w[0], w[1], w[2] = w[0] + dx * factor, w[1] + dy * factor, w[2] + dz * factor
@@ -78,9 +78,8 @@ def demand_rotation(params, adaptive, sense, output):
     """
     now_ns, attitude = adaptive.clock.now_ns, adaptive.attitude
     u, before = attitude.axis, max(sense.pose_count - 2, 0) & (POSES - 1)
-    tx, ty, tz = to_world(sense.pose, 7 * newest_pose(sense), 0.0, 0.0, 1.0)
-    bx, by, bz = to_world(sense.pose, 7 * before, 0.0, 0.0, 1.0)
-    _, _, _, turn = rotation_between(bx, by, bz, tx, ty, tz)
+    tool_axis = to_world(sense.pose, 7 * newest_pose(sense), 0.0, 0.0, 1.0)
+    _, turn = rotation_between(to_world(sense.pose, 7 * before, 0.0, 0.0, 1.0), tool_axis)
     jumped = turn > 0.3 * params.max_tilt_rad  # no tool turns so far between two reports
     if params.run == RUN_FREEZE:
         release_attitude(attitude)  # afterwards it begins at the tool
@@ -88,25 +87,26 @@ def demand_rotation(params, adaptive, sense, output):
     elapsed_s = (now_ns - attitude.t_ns) * 1e-9
     begins = attitude.t_ns == 0 or jumped or not math.isfinite(u[0] + u[1] + u[2])
     if begins or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint):
-        u[0], u[1], u[2], elapsed_s = tx, ty, tz, 0.0
+        u[0], u[1], u[2] = tool_axis
         attitude.angular_velocity_radps[:] = 0.0
+        elapsed_s = 0.0
     if elapsed_s > 0.0:
-        nx, ny, nz = predicted_normal(params, adaptive)
-        nx, ny, nz = tested_direction(adaptive.rotation, nx, ny, nz)
+        direction = tested_direction(adaptive.rotation, predicted_normal(params, adaptive))
         if adaptive.beams.inconsistent != 0:  # the plane may be of the wrong ones
-            nx, ny, nz = u[0], u[1], u[2]
-        limit_attitude(params, attitude, nx, ny, nz, elapsed_s)
+            direction = u[0], u[1], u[2]
+        limit_attitude(params, attitude, direction, elapsed_s)
     attitude.t_ns = now_ns
-    wx, wy, wz, angle = rotation_between(tx, ty, tz, u[0], u[1], u[2])
+    rotation, angle = rotation_between(tool_axis, u)
     factor = params.max_turn_rad / angle if angle > params.max_turn_rad else 1.0
-    output.demand[3], output.demand[4], output.demand[5] = wx * factor, wy * factor, wz * factor
+    for i in range(3):
+        output.demand[3 + i] = rotation[i] * factor
 
 
 @jit
 def publish_normal(adaptive, output):
     """Publish the normal and the accepted beams; the normal is vertical while no plane is known."""
-    nx, ny, nz = normal_of(adaptive.plane.slope_x, adaptive.plane.slope_y)
-    output.normal[0], output.normal[1], output.normal[2] = nx, ny, nz
+    normal = normal_of(adaptive.plane.slope_x, adaptive.plane.slope_y)
+    output.normal[0], output.normal[1], output.normal[2] = normal
     output.beams = 0
     for c in range(CHANNELS):
         output.beams |= adaptive.beams.accepted[c] << c

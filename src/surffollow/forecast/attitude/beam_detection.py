@@ -11,10 +11,10 @@ import math
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height, half_squared_distance
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
+from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND, USUAL_SAMPLES
+from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
-from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.forecast.sensing.response import MOTION_BANDS
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit, jit_inlined
@@ -122,7 +122,8 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
     """
     beams, number, sigma = adaptive.beams, mean_samples(adaptive), beam_noise_m(params, adaptive)
     deviation, most = range_m - beams.mean_m[c], BAND_SIGMAS * sigma
-    begins = beams.t_ns[c] == 0 or not 0 <= t_ns - beams.t_ns[c] <= longest_gap_s(adaptive.prediction) * 1e9
+    since_s = (t_ns - beams.t_ns[c]) * 1e-9
+    begins = beams.t_ns[c] == 0 or not 0.0 <= since_s <= dropout_tolerance_s(adaptive.prediction)
     beams.mean_m[c] += min(max(deviation, -most), most) / number
     change = abs(beams.mean_m[c] - beams.run_mean_m[c])
     if begins or change > TEST_BAND_FACTOR * mean_band_m(sigma, number):
@@ -169,10 +170,8 @@ def plausible_bend_m(params, adaptive):
 def is_bent(adaptive, n_channels, gate_m):
     """Whether the accepted beams lie on no plane within the gate."""
     beams = adaptive.beams
-    rank, _, _, _, _, _, _, _, _, error = fit_plane(
-        beams, beams.accepted, n_channels, adaptive.plane.curvature, adaptive.noise.sigma_m
-    )
-    return rank == 2 and error > gate_m * gate_m
+    fit = fit_plane(beams, beams.accepted, n_channels, adaptive.plane, adaptive.noise.sigma_m)
+    return fit.rank == 2 and fit.error_m2 > gate_m * gate_m
 
 
 @jit
@@ -243,7 +242,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     if n < 4 or not begun or not apart:
         beams.inconsistent = 0
     elif is_bent(adaptive, params.n_channels, max(gate, plausible_bend_m(params, adaptive))):
-        beams.inconsistent = CONFIRMED_SAMPLES
+        beams.inconsistent = USUAL_SAMPLES
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
     good = 0

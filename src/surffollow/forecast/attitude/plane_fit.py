@@ -8,7 +8,7 @@ import math
 
 from surffollow.forecast.attitude import beam_detection, plane_regression
 from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE
-from surffollow.forecast.sensing.range_prediction import longest_gap_s
+from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.shm.jit import jit
 
 
@@ -33,13 +33,13 @@ def plane_height(params, adaptive, t_ns, x_m, y_m):
     accepted = beam_detection.isolate_faults(params, adaptive, t_ns, x_m, y_m)
     if accepted == 0:
         return 0, 0.0
-    mx, my, mh = update_plane(params, adaptive, dt)
+    fit = update_plane(params, adaptive, dt)
     follow_track(adaptive, dt)
     if plane.first_ns == 0 or t_ns < plane.first_ns:
         plane.first_ns = t_ns
     if plane.count == 0 and t_ns - plane.first_ns < MAX_GAP_NS:
         return 0, 0.0  # the height by one beam on a slope is wrong: wait for the others
-    return accepted, mh - plane.slope_x * (mx - x_m) - plane.slope_y * (my - y_m)
+    return accepted, fit.h_m - plane.slope_x * (fit.x_m - x_m) - plane.slope_y * (fit.y_m - y_m)
 
 
 @jit
@@ -61,7 +61,7 @@ def propagate_slopes(adaptive, t_ns):
     plane = adaptive.plane
     dt = (t_ns - plane.t_ns) * 1e-9
     plane.t_ns = t_ns
-    if not 0.0 < dt <= longest_gap_s(adaptive.prediction):
+    if not 0.0 < dt <= dropout_tolerance_s(adaptive.prediction):
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = dt = 0.0
     shift_slopes(plane, plane.slope_rate_x_hz * dt, plane.slope_rate_y_hz * dt)
     return dt
@@ -76,7 +76,7 @@ def shift_slopes(plane, dx, dy):
 
 @jit
 def update_plane(params, adaptive, dt):
-    """Update slopes, rates and curvature with the accepted beams; returns the mean of their footprints [m].
+    """Update slopes, rates and curvature with the accepted beams; returns the regression on these.
 
     The first planes have the full gain. Slopes that are not observed are kept, without a rate.
 
@@ -87,31 +87,27 @@ def update_plane(params, adaptive, dt):
 
     Returns
     -------
-    3 × float64 [m]
+    PlaneFit
     """
     beams, plane = adaptive.beams, adaptive.plane
-    rank, mx, my, mh, ux, uy, along, across, spread_m2, _ = plane_regression.fit_plane(
-        beams, beams.weight, params.n_channels, plane.curvature, adaptive.noise.sigma_m
-    )
-    plane.rank = rank if beams.inconsistent == 0 else 0
-    along -= plane.slope_x * ux + plane.slope_y * uy
-    across = across - plane.slope_y * ux + plane.slope_x * uy if plane.rank == 2 else 0.0
-    ex, ey = along * ux - across * uy, along * uy + across * ux
+    fit = plane_regression.fit_plane(beams, beams.weight, params.n_channels, plane, adaptive.noise.sigma_m)
+    plane.rank = fit.rank if beams.inconsistent == 0 else 0
     share = slope_gain(dt)
     if plane.rank == 2:
-        plane.fitted_x, plane.fitted_y, plane.spread_m2 = plane.slope_x + ex, plane.slope_y + ey, spread_m2
-        error = plane_regression.curvature_error(beams, plane, params.n_channels, mx, my, mh)
+        plane.fitted_x, plane.fitted_y = plane.slope_x + fit.error_x, plane.slope_y + fit.error_y
+        plane.spread_m2 = fit.spread_m2
+        error = plane_regression.curvature_error(beams, plane, params.n_channels, fit)
         plane.curvature += min(2.5 * dt, 0.5) * error  # a mean over 0.4 s
         rate_gain_hz = 0.25 * share * share / dt if dt > 0.0 else 0.0
-        plane.slope_rate_x_hz += rate_gain_hz * ex
-        plane.slope_rate_y_hz += rate_gain_hz * ey
+        plane.slope_rate_x_hz += rate_gain_hz * fit.error_x
+        plane.slope_rate_y_hz += rate_gain_hz * fit.error_y
     else:
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = 0.0
     if plane.rank > 0:
         share = max(share, 1.0 / (plane.count + 1))
-        shift_slopes(plane, share * ex, share * ey)
+        shift_slopes(plane, share * fit.error_x, share * fit.error_y)
     plane.count += 1 if plane.rank == 2 else 0
-    return mx, my, mh
+    return fit
 
 
 @jit

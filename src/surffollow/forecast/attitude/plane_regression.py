@@ -1,9 +1,23 @@
 """Regression of a plane on the footprints of several beams."""
 
 import math
+from typing import NamedTuple
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.shm.jit import jit
+
+
+class PlaneFit(NamedTuple):
+    """A plane by regression on footprints."""
+
+    rank: int  # slopes that the footprints give: 2 both, 1 along their line, 0 none
+    x_m: float  # mean of the footprints
+    y_m: float
+    h_m: float
+    error_x: float  # slopes minus the known ones
+    error_y: float
+    spread_m2: float  # of the footprints, where it is less
+    error_m2: float  # sum of the squared residuals
 
 
 @jit
@@ -20,36 +34,31 @@ def flat_height(beams, curvature, c):
 
 
 @jit
-def fit_plane(beams, weights, n_channels, curvature, sigma_m):
+def fit_plane(beams, weights, n_channels, plane, sigma_m):
     """Weighted least squares of a plane, along the principal axes of the footprints.
 
     Parameters
     ----------
-    beams : record of `Beams`
+    beams, plane : records of `Beams`, `Plane`: known slopes and curvature, by which the heights are corrected
     weights : (8,) array  0 to 1; 0: the beam does not count
     n_channels : int      channels in use
-    curvature : float64   of the ground [1/m], by which the heights are corrected
     sigma_m : float64     standard deviation of a reading [m]
 
     Returns
     -------
-    rank : int                  slopes that the footprints give: 2 both, 1 along their line, 0 none
-    x, y, h : float64           their weighted mean [m]
-    ux, uy : float64            unit vector of their line
-    along, across : float64     slopes along (ux, uy) and (-uy, ux)
-    spread_m2, error_m2 : float64  spread across the line; sum of the squared residuals
+    PlaneFit
     """
     total, mx, my, mh = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w = weights[c]
         mx, my = mx + w * beams.footprint_m[3 * c], my + w * beams.footprint_m[3 * c + 1]
-        total, mh = total + w, mh + w * flat_height(beams, curvature, c)
+        total, mh = total + w, mh + w * flat_height(beams, plane.curvature, c)
     mx, my, mh = mx / total, my / total, mh / total
     xx, xy, yy, xh, yh, hh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w = weights[c]
         dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
-        dh = flat_height(beams, curvature, c) - mh
+        dh = flat_height(beams, plane.curvature, c) - mh - plane.slope_x * dx - plane.slope_y * dy
         xx, xy, yy = xx + w * dx * dx, xy + w * dx * dy, yy + w * dy * dy
         xh, yh, hh = xh + w * dx * dh, yh + w * dy * dh, hh + w * dh * dh
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
@@ -60,14 +69,17 @@ def fit_plane(beams, weights, n_channels, curvature, sigma_m):
     # footprints nearer to each other than 20 standard deviations of a reading give no slope
     least_m2 = (20.0 * max(sigma_m, MIN_NOISE_M)) ** 2
     rank = 1 if major > least_m2 else 0
-    if minor > max(least_m2, 1e-2 * (major + minor)):  # nearly on one line they give none across it
+    error_m2 = hh - major * along * along - minor * across * across
+    if minor > max(least_m2, 1e-2 * (major + minor)):
         rank = 2
-    error = hh - major * along * along - minor * across * across
-    return rank, mx, my, mh, ux, uy, along, across, minor, error
+    else:  # nearly on one line they give none across it
+        across = 0.0
+    ex, ey = along * ux - across * uy, along * uy + across * ux
+    return PlaneFit(rank, mx, my, mh, ex, ey, minor, error_m2)
 
 
 @jit
-def curvature_error(beams, plane, n_channels, mx, my, mh):
+def curvature_error(beams, plane, n_channels, fit):
     """Error of the mean curvature by the residuals of the plane (normalised least mean squares) [1/m].
 
     Three beams have no residuals. A ring without a beam in the middle has a single
@@ -76,14 +88,14 @@ def curvature_error(beams, plane, n_channels, mx, my, mh):
     Parameters
     ----------
     beams, plane : records of `Beams`, `Plane`
-    n_channels : int      channels in use
-    mx, my, mh : float64  mean of the footprints [m]
+    n_channels : int  channels in use
+    fit : PlaneFit    of these beams
     """
     total, mean_q, square_q, covariance = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w, q = beams.weight[c], half_squared_distance(beams, c)
-        dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
-        left = flat_height(beams, plane.curvature, c) - mh - plane.fitted_x * dx - plane.fitted_y * dy
+        dx, dy = beams.footprint_m[3 * c] - fit.x_m, beams.footprint_m[3 * c + 1] - fit.y_m
+        left = flat_height(beams, plane.curvature, c) - fit.h_m - plane.fitted_x * dx - plane.fitted_y * dy
         total, mean_q = total + w, mean_q + w * q
         square_q, covariance = square_q + w * q * q, covariance + w * q * left
     spread = square_q - mean_q * mean_q / total

@@ -15,8 +15,8 @@ from surffollow.forecast.attitude.plane_fit import slope_gain
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.pose import rotate, rotation_between, to_world
 from surffollow.forecast.sensing import response
+from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.mean_range import TEST_BAND_FACTOR
-from surffollow.forecast.sensing.range_prediction import longest_gap_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 from surffollow.shm.layout_follow import RUN_NORMAL
@@ -66,7 +66,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     """
     rotation, plane = adaptive.rotation, adaptive.plane
     dt = (t_ns - rotation.t_ns) * 1e-9
-    begins = rotation.t_ns == 0 or not 0.0 < dt <= longest_gap_s(adaptive.prediction)
+    begins = rotation.t_ns == 0 or not 0.0 < dt <= dropout_tolerance_s(adaptive.prediction)
     if plane.rank != 2:
         if begins:
             reset_rotation(rotation)  # too few beams to see a response: what is left is followed as ever
@@ -91,7 +91,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
         _begin_run(rotation, t_ns, axis)
         return
     u = rotation.run_axis if rotation.phase == ROTATION_RUN else rotation.test_axis
-    _, _, _, turn = rotation_between(u[0], u[1], u[2], axis[0], axis[1], axis[2])
+    _, turn = rotation_between(u, axis)
     # the tool stops at `permitted_turn_rad` from the test's direction
     least = response.MOTION_BANDS * band
     probe = least + params.permitted_turn_rad
@@ -119,18 +119,8 @@ def observe_rotation(params, adaptive, t_ns, pose):
 
 
 @jit
-def tested_direction(rotation, nx, ny, nz):
-    """Direction for the tool's axis: the normal, or that of the test.
-
-    Parameters
-    ----------
-    rotation : record of `Rotation`
-    nx, ny, nz : float64  unit normal, world frame
-
-    Returns
-    -------
-    3 × float64  of a length of about 1
-    """
+def tested_direction(rotation, normal):
+    """Direction for the tool's axis: the unit normal, or that of the test, whose length is about 1."""
     if rotation.phase == ROTATION_RUN:
-        return nx, ny, nz
+        return normal
     return rotation.test_axis[0], rotation.test_axis[1], rotation.test_axis[2]

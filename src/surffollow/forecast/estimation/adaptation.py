@@ -1,4 +1,4 @@
-"""Adapt Permitted_Variance and the deadband; express the smoothing as Interval_Size and Range_Size.
+"""Permitted_Variance in force; the smoothing as Interval_Size and Range_Size.
 
 Permitted_Variance is the change of the demand that is not relayed. Where the standard deviation of the height
 is larger, it takes its place. Interval_Size and Range_Size in force follow from the gain of the blend.
@@ -9,10 +9,9 @@ from surffollow.shm.layout_follow import INTERVALS
 
 
 @jit
-def update_deadband(params, adaptive):
-    """Set Permitted_Variance in force and the deadband of the setpoint filter."""
-    uncertain_m = min(adaptive.estimate.sigma_m, 2e-3)  # more uncertainty raises it no farther
-    adaptive.adaptation.permitted_variance_m = max(params.permitted_variance_m, uncertain_m)
+def permitted_variance_m(params, adaptive):
+    """Permitted_Variance in force [m]; more uncertainty than 2 mm raises it no farther."""
+    return max(params.permitted_variance_m, min(adaptive.estimate.sigma_m, 2e-3))
 
 
 @jit
@@ -23,7 +22,7 @@ def publish_adaptation(params, adaptive, output):
     """
     sample, estimate = adaptive.sample, adaptive.estimate
     output.latency_s = params.sensor_latency_ns * 1e-9 + adaptive.latency.correction_s
-    output.permitted_variance_m = adaptive.adaptation.permitted_variance_m
+    output.permitted_variance_m = permitted_variance_m(params, adaptive)
     if estimate.samples == 0:
         output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
         return

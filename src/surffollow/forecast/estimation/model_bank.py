@@ -19,33 +19,31 @@ from typing import Any
 import numpy as np
 
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
+from surffollow.shm.layout_adaptive_estimation import CURVES, N_MODELS, WAVES
 
-SLOPE, CURVE, WAVE = 0, 1, 2
 BAND = 2.0**0.25  # a wave number stays within this factor: waves are half an octave apart
-# rows of kind, scale, noise of slope, curvature or a wave's amplitude, noise of height
+# rows of scale, noise of slope, curvature or a wave's amplitude, noise of height
 # slopes that decay over 1 km do not decay
 BANK: Any = np.array(
-    [(SLOPE, 1e3, 0.0, qh) for qh in (3e-5, 1e-3)]
-    + [(SLOPE, 1e3, qs, 1e-5) for qs in (0.01, 0.05, 0.5, 2.0)]
-    + [(SLOPE, length_m, qs, 1e-3) for length_m, qs in ((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))]
-    + [(CURVE, 0.3, qc, 1e-5) for qc in (3.0, 20.0, 150.0)]
-    + [(WAVE, 2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in 0.6 * BAND ** (-2.0 * np.arange(8))]
+    [(1e3, 0.0, qh) for qh in (3e-5, 1e-3)]
+    + [(1e3, qs, 1e-5) for qs in (0.01, 0.05, 0.5, 2.0)]
+    + [(length_m, qs, 1e-3) for length_m, qs in ((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))]
+    + [(0.3, qc, 1e-5) for qc in (3.0, 20.0, 150.0)]
+    + [(2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in 0.6 * BAND ** (-2.0 * np.arange(8))]
 )
-KIND = BANK[:, 0].astype(np.int64)
-N_SLOPES = int(np.searchsorted(KIND, CURVE))  # curves are from there to the waves
-assert (len(BANK), int(np.searchsorted(KIND, WAVE))) == (N_MODELS, WAVES)
-SCALE = BANK[:, 1].copy()  # length of decay [m]; of a wave the middle of its band [1/m]
-DECAY = np.where(KIND == SLOPE, 1.0 / SCALE, 0.0)  # 1/λ [1/m]
+assert len(BANK) == N_MODELS
+SCALE = BANK[:, 0].copy()  # length of decay [m]; of a wave the middle of its band [1/m]
 # spectral densities of height, slope, curvature over arc length; a wave's amplitude has noise of its slope
 NOISE_DENSITY = np.zeros((3, N_MODELS))
-NOISE_DENSITY[0] = BANK[:, 3] ** 2
-NOISE_DENSITY[1] = np.choose(KIND, (1.0, 0.0, 2.0 * SCALE**2)) * BANK[:, 2] ** 2
-NOISE_DENSITY[2] = np.where(KIND == CURVE, BANK[:, 2] ** 2, 0.0)
+NOISE_DENSITY[0] = BANK[:, 2] ** 2
+NOISE_DENSITY[1, :CURVES] = BANK[:CURVES, 1] ** 2
+NOISE_DENSITY[2, CURVES:WAVES] = BANK[CURVES:WAVES, 1] ** 2
+NOISE_DENSITY[1, WAVES:] = 2.0 * SCALE[WAVES:] ** 2 * BANK[WAVES:, 1] ** 2
 # variances of slope and curvature at the start; a wave's amplitude has one of 1e-5 m²
 INITIAL_VARIANCE = np.zeros((2, N_MODELS))
-INITIAL_VARIANCE[0] = np.choose(KIND, (0.01 * (BANK[:, 2] > 0.0), 0.01, SCALE**2 * 1e-5))
-INITIAL_VARIANCE[1] = np.choose(KIND, (0.0, 1.0, SCALE**4 * 1e-5))
+INITIAL_VARIANCE[0] = 0.01 * (BANK[:, 1] > 0.0)
+INITIAL_VARIANCE[1, CURVES:WAVES] = 1.0
+INITIAL_VARIANCE[:, WAVES:] = SCALE[WAVES:] ** 2 * 1e-5, SCALE[WAVES:] ** 4 * 1e-5
 
 
 @jit
@@ -73,11 +71,11 @@ def compute_transition(bank, d_m):
         bank.f22[i] = e
     for i in range(WAVES, N_MODELS):
         bank.f22[i], bank.f21[i] = math.cos(bank.wave_number[i] * d_m), math.sin(bank.wave_number[i] * d_m)
-    for i in range(N_SLOPES):
+    for i in range(CURVES):
         e = bank.f22[i]
         bank.f01[i], bank.f02[i] = SCALE[i] * (1.0 - e), 0.0
         bank.f11[i], bank.f12[i], bank.f21[i] = e, 0.0, 0.0
-    for i in range(N_SLOPES, WAVES):
+    for i in range(CURVES, WAVES):
         g = SCALE[i] * (1.0 - bank.f22[i])
         bank.f01[i], bank.f02[i] = d_m, SCALE[i] * (d_m - g)
         bank.f11[i], bank.f12[i], bank.f21[i] = 1.0, g, 0.0
@@ -201,10 +199,10 @@ def extrapolate_bank(bank, d):
     for i in range(N_MODELS):
         slope, curvature = bank.slope[i], bank.curvature[i]
         bank.rise_m[i] = sign * bank.f01[i] * slope + bank.f02[i] * curvature
-        slope_ahead = bank.f11[i] * slope + sign * bank.f12[i] * curvature
-        bank.slope_ahead[i] = slope_ahead
-        fades = sign * DECAY[i] * slope_ahead
-        bank.bend_ahead[i] = sign * bank.f21[i] * slope + bank.f22[i] * curvature - fades
+        bank.slope_ahead[i] = bank.f11[i] * slope + sign * bank.f12[i] * curvature
+        bank.bend_ahead[i] = sign * bank.f21[i] * slope + bank.f22[i] * curvature
+    for i in range(CURVES):
+        bank.bend_ahead[i] -= sign / SCALE[i] * bank.slope_ahead[i]
 
 
 @jit

@@ -11,7 +11,7 @@ from surffollow.forecast.estimation import model_bank, setpoint_lead
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
+from surffollow.shm.layout_adaptive_estimation import CURVES, N_MODELS, WAVES
 
 
 @jit_inlined
@@ -87,8 +87,8 @@ def compute_costs(params, adaptive):
         c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
         # a wave fits part of any noise for a while, a curve a smaller part
-        chance = 8.0 if i >= WAVES else 1.0 if i >= model_bank.N_SLOPES else 0.0
-        c += p_e * shadow.log_effort[i] + s * s * chance
+        chance = 8.0 if i >= WAVES else 1.0 if i >= CURVES else 0.0
+        c += p_e * math.log(shadow.effort[i] + 1.0) + s * s * chance  # effort in (1 m/s²)²
         # phase of a wave between two samples: from π on it is an alias of a longer one
         is_alias = i >= WAVES and model_bank.SCALE[i] * spacing_m > 2.0 * math.pi / 3.0
         weights.cost[i] = math.inf if is_alias else c

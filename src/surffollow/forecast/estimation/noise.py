@@ -2,7 +2,7 @@
 
 import math
 
-from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
+from surffollow.forecast.quantities import QUICK_RATE
 from surffollow.shm.jit import jit
 
 MIN_NOISE_M = 50e-6  # floor of the variance that the bank assumes
@@ -15,11 +15,10 @@ def update_noise(adaptive, h_m):
     """Update the noise: running median of second differences, which contain no slope."""
     noise = adaptive.noise
     if adaptive.estimate.samples > 2:
-        e = abs(h_m - 2.0 * noise.recent_m[0] + noise.recent_m[1])
-        rate = min(max(2.0 / max(adaptive.weights.scored, 1), SLOW_RATE), QUICK_RATE)
-        step = rate * max(noise.median_m, 1e-5)
-        noise.median_m = max(noise.median_m + (step if e > noise.median_m else -step), 0.0)
-        noise.sigma_m = MAD_TO_SIGMA * noise.median_m
+        e = MAD_TO_SIGMA * abs(h_m - 2.0 * noise.recent_m[0] + noise.recent_m[1])
+        rate = min(2.0 / max(adaptive.weights.scored, 1), QUICK_RATE)
+        step = rate * max(noise.sigma_m, 0.1 * MIN_NOISE_M)
+        noise.sigma_m = max(noise.sigma_m + (step if e > noise.sigma_m else -step), 0.0)
     noise.recent_m[0], noise.recent_m[1] = h_m, noise.recent_m[0]
 
 
@@ -27,7 +26,6 @@ def update_noise(adaptive, h_m):
 def initialise_noise(noise):
     """Assume the noise of a start without knowledge."""
     noise.sigma_m = INITIAL_NOISE_M
-    noise.median_m = INITIAL_NOISE_M / MAD_TO_SIGMA
 
 
 @jit

@@ -19,46 +19,47 @@ LONGEST_PERIODS = 3.0  # a controller period, in those of a plan: plans are too 
 
 
 @jit
-def is_synchronised(controller, call_s, ranges_given, now_ns):
+def plan_call_s(adaptive):
+    """Usual interval of the calls while plans are used [s]; 0: no plan needs a punctual period."""
+    return adaptive.setpoint.interval_s if adaptive.preview.share > 0.0 else 0.0
+
+
+@jit
+def is_synchronised(adaptive, inputs, now_ns):
     """Whether plans are made ahead, for the next latch. Latches that come much more often need no such care.
 
-    With `ranges_given` > 0 a caller in process latches each answer himself, unless he calls more often.
+    A caller in process, who gives ranges, latches each answer himself, unless he calls more often.
     """
+    controller, call_s = adaptive.controller, plan_call_s(adaptive)
     interval_s, since_ns = controller.interval_ns * 1e-9, now_ns - controller.latched_ns
-    answers_each = ranges_given > 0 and not 0.0 < call_s < 0.5 * interval_s
+    answers_each = inputs.n_ranges > 0 and not 0.0 < call_s < 0.5 * interval_s
     usual = 0.6 * PERIOD_S < interval_s < LONGEST_PERIODS * PERIOD_S
     return usual and not answers_each and 0 <= since_ns < MAX_GAP_NS
 
 
 @jit
-def period_is_due(controller, call_s, ranges_given, now_ns):
-    """Whether the demand of the next controller period has to be prepared.
-
-    Parameters
-    ----------
-    controller : record of `Controller`
-    call_s : float64         usual interval of the calls [s]: callers are not punctual; 0: no plan needs it
-    ranges_given : int       > 0: ranges are given to the step, the caller latches each answer himself
-    now_ns : int64
-    """
+def period_is_due(adaptive, inputs, now_ns):
+    """Whether the demand of the next controller period has to be prepared at a time."""
+    controller = adaptive.controller
     elapsed = now_ns - controller.period_ns
-    if not is_synchronised(controller, call_s, ranges_given, now_ns):
+    if not is_synchronised(adaptive, inputs, now_ns):
         period_ns = 9_999_000  # 100 Hz; a microsecond less, timestamps may be rounded
-        return elapsed >= period_ns - min(0.1 * period_ns, 0.25 * call_s * 1e9)
+        # callers are not punctual
+        return elapsed >= period_ns - min(0.1 * period_ns, 0.25 * plan_call_s(adaptive) * 1e9)
     # the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm; periods last 0.6 to 1.4 intervals
-    interval_ns, left = controller.interval_ns, latch_time(controller, call_s, ranges_given, now_ns) - now_ns
+    interval_ns, left = controller.interval_ns, latch_time(adaptive, inputs, now_ns) - now_ns
     early = left <= 0.89 * min(interval_ns, PERIOD_S * 1e9)
     prepares = controller.latch_pending == 0 and early and elapsed >= 0.6 * interval_ns
     return prepares or elapsed >= 1.4 * interval_ns
 
 
 @jit
-def latch_time(controller, call_s, ranges_given, now_ns):
+def latch_time(adaptive, inputs, now_ns):
     """Time at which the controller latches its next demand [ns]."""
-    if not is_synchronised(controller, call_s, ranges_given, now_ns):
+    if not is_synchronised(adaptive, inputs, now_ns):
         return now_ns
-    period = int(controller.interval_ns)
-    return now_ns + period - (now_ns - controller.latched_ns) % period
+    period = int(adaptive.controller.interval_ns)
+    return now_ns + period - (now_ns - adaptive.controller.latched_ns) % period
 
 
 @jit
@@ -73,9 +74,10 @@ def mean_wait_s(params, controller):
 
 
 @jit
-def open_period(controller, call_s, ranges_given, now_ns):
+def open_period(adaptive, inputs):
     """Latch time of the period that has just begun, which is set; until then its demand may change."""
-    latch_ns = latch_time(controller, call_s, ranges_given, now_ns)
+    controller, now_ns = adaptive.controller, adaptive.clock.now_ns
+    latch_ns = latch_time(adaptive, inputs, now_ns)
     controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = latch_ns
     controller.latch_pending = 1 if latch_ns > now_ns else 0
     return latch_ns

@@ -7,8 +7,6 @@ errors are equal, and the configured time constant stays.
 
 import math
 
-import numpy as np
-
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose, newest_until
@@ -18,7 +16,12 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
 
 TAU_RATIO = 1.5  # between neighbouring τ
-TAU_SHARES = TAU_RATIO ** (np.arange(N_PLANTS) - N_PLANTS // 2)  # of the configured τ
+
+
+@jit
+def time_constant_s(plant, k):
+    """Time constant of an axis model [s]; the configured one is in the middle."""
+    return plant.tau_configured_s * TAU_RATIO ** (k - N_PLANTS // 2)
 
 
 @jit
@@ -59,29 +62,37 @@ def setpoint_in_force(plant, t_ns):
 
 
 @jit
-def predict_axis(params, adaptive, to_ns):
-    """Position and velocity of the observed axis at a later time [m, m/s]."""
-    plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
-    z, v, tau = plant.axis_m, plant.axis_mps, plant.tau_s
+def follow_setpoints(params, plant, tau_s, z_m, v_mps, to_ns):
+    """Position and velocity of an axis that has followed the own setpoints until a later time [m, m/s].
+
+    Parameters
+    ----------
+    params, plant : records of `Params`, `Plant`
+    tau_s : float64       time constant [s]
+    z_m, v_mps : float64  position and velocity at `plant.t_ns`
+    to_ns : int64         the later time
+    """
+    v_max, a_max = params.plant_v_max_mps, params.plant_a_max_mps2
     steps, span_ns = axis_model.time_steps(plant.t_ns, to_ns)
     for n in range(steps):
         target = setpoint_in_force(plant, plant.t_ns + (span_ns * n) // steps)
-        z, v = axis_model.step_axis(tau, v_max, a_max, z, v, target, span_ns * 1e-9 / steps)
-    return z, v
+        z_m, v_mps = axis_model.step_axis(tau_s, v_max, a_max, z_m, v_mps, target, span_ns * 1e-9 / steps)
+    return z_m, v_mps
 
 
 @jit
-def propagate_axes(params, adaptive, to_ns):
+def predict_axis(params, plant, to_ns):
+    """Position and velocity of the observed axis at a later time [m, m/s]."""
+    return follow_setpoints(params, plant, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
+
+
+@jit
+def propagate_axes(params, plant, to_ns):
     """Propagate all axis models with the follower's own setpoints."""
-    plant, v_max, a_max = adaptive.plant, params.plant_v_max_mps, params.plant_a_max_mps2
     z, v = plant.position_m, plant.velocity_mps
-    steps, span_ns = axis_model.time_steps(plant.t_ns, to_ns)
-    for n in range(steps):
-        target = setpoint_in_force(plant, plant.t_ns + (span_ns * n) // steps)
-        for k in range(N_PLANTS):
-            tau = plant.tau_configured_s * TAU_SHARES[k]
-            z[k], v[k] = axis_model.step_axis(tau, v_max, a_max, z[k], v[k], target, span_ns * 1e-9 / steps)
-    plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
+    for k in range(N_PLANTS):
+        z[k], v[k] = follow_setpoints(params, plant, time_constant_s(plant, k), z[k], v[k], to_ns)
+    plant.axis_m, plant.axis_mps = predict_axis(params, plant, to_ns)
     plant.t_ns = to_ns
 
 
@@ -99,7 +110,7 @@ def best_time_constant(plant):
         return 0.0
     # a parabola over √τ through three points: over τ its minimum is too high, over log τ too low
     b = min(max(best, 1), N_PLANTS - 2)
-    middle = math.sqrt(plant.tau_configured_s * TAU_SHARES[b])
+    middle = math.sqrt(time_constant_s(plant, b))
     left, right = middle / math.sqrt(TAU_RATIO), middle * math.sqrt(TAU_RATIO)
     slope_below = (plant.error_m2[b] - plant.error_m2[b - 1]) / (middle - left)
     slope_above = (plant.error_m2[b + 1] - plant.error_m2[b]) / (right - middle)
@@ -136,7 +147,7 @@ def update_plant(params, adaptive, sense, ranges_given, adapt):
         return
     if ranges_given <= 0:
         record_latch(plant, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS, plant.newest_m)
-    propagate_axes(params, adaptive, t)
+    propagate_axes(params, plant, t)
     least = math.inf
     for k in range(N_PLANTS):
         least = min(least, abs(plant.position_m[k] - z))

@@ -3,8 +3,6 @@
 A model that may lead less has two: with its lead and without it (`estimation.setpoint_lead`).
 """
 
-import math
-
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.quantities import QUICK_RATE
 from surffollow.forecast.sensing.kinematics import is_at_rest
@@ -91,7 +89,6 @@ def record_setpoints(adaptive):
             accel = 1.0 / axis_model.PERIOD_S**2 * (newest_m[i] - 2.0 * one_m + two_m)
             # (10 m/s²)² bounds the memory of a step
             shadow.effort[i] += QUICK_RATE * (min(accel * accel, 100.0) - shadow.effort[i])
-            shadow.log_effort[i] = math.log(shadow.effort[i] + 1.0)  # in (1 m/s²)²
         before_m[i], before_m[N_MODELS + i] = newest_m[i], one_m
 
 
@@ -99,4 +96,3 @@ def record_setpoints(adaptive):
 def reset_effort(shadow):
     """Set the mean squared acceleration of all setpoints to zero."""
     shadow.effort[:] = 0.0
-    shadow.log_effort[:] = 0.0

@@ -1,6 +1,7 @@
 """Health of the ranging: drop-outs, health states with hysteresis, latched faults."""
 
 from surffollow.forecast import quantities
+from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
@@ -11,22 +12,27 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
-ENTER_NS = 10_000_000  # a worse state is published after so long
 LEFT_OUT_NS = 500_000_000  # a beam of a plane that is not used for so long: an edge leaves out one for less
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
 
 
 @jit
+def tolerated_gap_s(interval_s, least_ns):
+    """Time without a sample at this usual interval that is no drop-out [s]; of a quick sensor the least."""
+    return max(least_ns * 1e-9, min(DROPOUT_INTERVALS * interval_s, quantities.LONG_GAP_NS * 1e-9))
+
+
+@jit
 def dropout_tolerance_s(prediction):
     """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
-    return min(DROPOUT_INTERVALS * prediction.interval_s, quantities.LONG_GAP_NS * 1e-9)
+    return tolerated_gap_s(prediction.interval_s, quantities.MAX_GAP_NS)
 
 
 @jit
 def is_missing(adaptive, since_ns):
     """Whether a sample after this time is missing, beyond the usual delay and tolerance."""
-    tolerance_ns = max(quantities.MAX_GAP_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
-    return adaptive.clock.now_ns - since_ns > adaptive.latency.delay_s * 1e9 + tolerance_ns
+    tolerance_s = adaptive.latency.delay_s + dropout_tolerance_s(adaptive.prediction)
+    return adaptive.clock.now_ns - since_ns > tolerance_s * 1e9
 
 
 @jit
@@ -62,30 +68,21 @@ def is_lost(params, adaptive):
 
 @jit
 def observe_channels(params, health, sense, now_ns):
-    """Note when each channel has a reading, and the usual interval of its readings."""
-    for c in range(params.n_channels):
-        if sense.fresh[c] == 0:
-            continue
-        gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
-        if usual_ns != 0:
-            health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // quantities.USUAL_SAMPLES
-        elif health.reading_ns[c] != 0:
-            health.interval_ns[c] = gap_ns
-        health.reading_ns[c] = now_ns
-
-
-@jit
-def silent_channels(params, health, now_ns):
-    """Bit per channel of several that is without a reading as long as a drop-out is.
+    """Note when each channel has a reading; bit per channel of several without one as long as a drop-out is.
 
     The time is that of arrival: a wrong timestamp is no missing reading.
     """
     silent = 0
-    if params.n_channels > 1:
-        for c in range(params.n_channels):
-            tolerance_ns = min(DROPOUT_INTERVALS * health.interval_ns[c], quantities.LONG_GAP_NS)
-            if now_ns - health.reading_ns[c] > max(quantities.MAX_GAP_NS, tolerance_ns):
-                silent |= 1 << c
+    for c in range(params.n_channels):
+        gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
+        if sense.fresh[c] != 0:
+            if usual_ns != 0:
+                health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // quantities.USUAL_SAMPLES
+            elif health.reading_ns[c] != 0:
+                health.interval_ns[c] = gap_ns
+            health.reading_ns[c] = now_ns
+        elif params.n_channels > 1 and gap_ns > tolerated_gap_s(1e-9 * usual_ns, quantities.MAX_GAP_NS) * 1e9:
+            silent |= 1 << c
     return silent
 
 
@@ -111,12 +108,13 @@ def is_outside(params, adaptive):
 
 
 @jit_inlined
-def present_health(params, adaptive, silent, left_out):
+def present_health(params, adaptive, stuck, lost, silent, left_out):
     """Health and its reason without hysteresis; the gravest one.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`
+    stuck, lost : bool      as `is_stuck` and `is_lost` say
     silent, left_out : int  bit per channel without readings, and per beam that is not used
 
     Returns
@@ -126,13 +124,13 @@ def present_health(params, adaptive, silent, left_out):
     samples, silent_bits = adaptive.estimate.samples, silent << layout.REASON_CHANNELS
     if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < quantities.USUAL_SAMPLES:
         return layout.FAULT, layout.REASON_NOT_FINITE
-    if is_stuck(adaptive):
+    if stuck:
         return layout.STUCK, layout.REASON_STUCK
     if samples == 0 or is_dropout(adaptive):
         if samples > 0 and is_outside(params, adaptive):
             return layout.OUT_OF_RANGE, layout.REASON_OUTSIDE | silent_bits
         return layout.DROPOUT, layout.REASON_NO_READING | silent_bits
-    if is_lost(params, adaptive):
+    if lost:
         return layout.DROPOUT, layout.REASON_LOST | silent_bits
     for found, reason in (
         (adaptive.hold.shift_ns > 0, layout.REASON_TIMESTAMPS),
@@ -152,19 +150,34 @@ def present_health(params, adaptive, silent, left_out):
 
 
 @jit_inlined
-def update_health(params, adaptive, sense):
-    """Publish health and reason with hysteresis."""
+def update_health(params, adaptive, sense, close):
+    """Publish health and reason with hysteresis, and latch faults.
+
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (`health` updated), `SenseState`
+    close : bool  the sensor may be in its fold-back
+
+    Returns
+    -------
+    bool, bool  the range does not respond or repeats itself; there is no demand without other samples
+    """
     health, now_ns = adaptive.health, adaptive.clock.now_ns
-    observe_channels(params, health, sense, now_ns)
-    silent, left_out = silent_channels(params, health, now_ns), beams_left_out(params, adaptive)
-    state, reason = present_health(params, adaptive, silent, left_out)
+    stuck, lost = is_stuck(adaptive), is_lost(params, adaptive)
+    silent, left_out = observe_channels(params, health, sense, now_ns), beams_left_out(params, adaptive)
+    state, reason = present_health(params, adaptive, stuck, lost, silent, left_out)
     if state != health.candidate:
         health.candidate, health.since_ns = state, now_ns
-    wait_ns = ENTER_NS if state > health.state else quantities.PAUSE_NS
-    if health.state < layout.DROPOUT and is_lost(params, adaptive):
+    # a worse state is published after a controller period
+    wait_ns = int(PERIOD_S * 1e9) if state > health.state else quantities.PAUSE_NS
+    if health.state < layout.DROPOUT and lost:
         wait_ns = 0  # there is no demand: the reason is published at once
     if state == health.state or now_ns - health.since_ns >= wait_ns:
         health.state, health.reason = state, reason
+    health.faults |= layout.FAULT_STUCK if stuck else 0
+    health.faults |= layout.FAULT_CLOSE if close else 0
+    health.faults |= layout.FAULT_LOST if lost and not stuck and adaptive.estimate.samples > 0 else 0
+    return stuck, lost
 
 
 @jit
@@ -172,12 +185,6 @@ def count_close(health, close):
     """Count samples in a row near the fold-back; whether they are enough to confirm it."""
     health.close_count = health.close_count + 1 if close else 0
     return health.close_count >= quantities.CONFIRMATION_SAMPLES
-
-
-@jit
-def latch_fault(health, fault):
-    """Latch a fault bit."""
-    health.faults |= fault
 
 
 @jit

@@ -3,7 +3,7 @@
 import math
 
 from surffollow.forecast.pose import newest_pose, pose_at
-from surffollow.forecast.quantities import APART_M, GATE_SCALES, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS
+from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
@@ -71,8 +71,8 @@ def note_jump(params, kinematics, sense):
         if 0.0 < before_s <= PAUSE_NS * 1e-9:
             aside = min(aside, math.hypot(vx - before_x, vy - before_y) * dt)
     up = abs(vz - kinematics.climb_mps) * dt
-    most_aside = max(0.02, GATE_SCALES * kinematics.scatter_m)  # 20 mm aside are no jump
-    most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, GATE_SCALES * kinematics.climb_scatter_m)
+    most_aside = max(0.02, params.gate_scales * kinematics.scatter_m)  # 20 mm aside are no jump
+    most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, params.gate_scales * kinematics.climb_scatter_m)
     kinematics.scatter_m = follow_usual(kinematics.scatter_m, min(aside, most_aside))
     kinematics.climb_scatter_m = follow_usual(kinematics.climb_scatter_m, min(up, most_up))
     climbed = up > most_up
@@ -136,7 +136,7 @@ def predict_pose(kinematics, sense, t_ns, pose):
     t_ns : int64         time of the pose
     pose : (7,) float64  receives x y z [m], qx qy qz qw
     """
-    pose_at(sense, t_ns, 1, pose)
+    pose_at(sense, t_ns, pose)
     late = t_ns - sense.pose_t_ns[newest_pose(sense)]
     if late > 0:
         dt = min(late, MAX_GAP_NS) * 1e-9

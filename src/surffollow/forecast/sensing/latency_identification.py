@@ -9,6 +9,7 @@ used: there climb rate and terrain are correlated.
 import math
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.modes import adapts
 from surffollow.forecast.pose import newest_pose, pose_at
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, FULL_POWER_SAMPLES, USUAL_SAMPLES
 from surffollow.forecast.sensing import kinematics
@@ -61,12 +62,12 @@ def check_configured_latency(params, latency):
 
 
 @jit
-def update_correction(adaptive, adapt):
+def update_correction(params, adaptive):
     """Let the regression of a rest enter the correction, and begin a new rest."""
     latency = adaptive.latency
     n = latency.count
     # deviations of the climb rate below 15 mm/s RMS identify nothing
-    if adapt and n >= 3 * USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
+    if adapts(params) and n >= 3 * USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
         delta_s = latency.climb_height / latency.climb_climb
         residual = math.sqrt(max(latency.height_height - delta_s * latency.climb_height, 0.0) / n)
         noise = max(adaptive.noise.sigma_m, MIN_NOISE_M)
@@ -82,7 +83,7 @@ def update_correction(adaptive, adapt):
 
 
 @jit
-def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
+def observe_height(params, adaptive, sense, t_ns, h_m, pose):
     """Enter a sample's height into the regression.
 
     One that is far from the mean is a glitch. Several in a row end the rest: the ground moved, or the rest
@@ -90,25 +91,23 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
 
     Parameters
     ----------
-    adaptive, sense : records of `AdaptiveState` (updated), `SenseState`
+    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
     t_ns : int64         timestamp minus the correction
     h_m : float64        height of the footprint with the pose at that time [m]
-    at_rest : bool       the tool rests laterally
-    adapt : bool         False: the correction stays
     pose : (7,) float64  scratch
     """
-    latency = adaptive.latency
+    latency, at_rest = adaptive.latency, kinematics.is_at_rest(adaptive.kinematics)
     far = latency.count > 0 and abs(h_m - latency.mean_height_m) > GLITCH_M
     latency.far = latency.far + 1 if far else 0
     if latency.far >= CONFIRMATION_SAMPLES:
-        update_correction(adaptive, adapt)
+        update_correction(params, adaptive)
         far = False
     if at_rest and not far:
         newest_ns = sense.pose_t_ns[newest_pose(sense)]
         end_ns = min(t_ns + kinematics.CLIMB_WINDOW_NS // 2, newest_ns)
-        pose_at(sense, end_ns - kinematics.CLIMB_WINDOW_NS, 1, pose)
+        pose_at(sense, end_ns - kinematics.CLIMB_WINDOW_NS, pose)
         z = pose[2]
-        pose_at(sense, end_ns, 1, pose)
+        pose_at(sense, end_ns, pose)
         climb = (pose[2] - z) / (1e-9 * kinematics.CLIMB_WINDOW_NS)
         latency.count += 1
         dc, dh = climb - latency.mean_climb_mps, h_m - latency.mean_height_m
@@ -121,4 +120,4 @@ def observe_height(adaptive, sense, t_ns, h_m, at_rest, adapt, pose):
             latency.step_step += (h_m - latency.newest_m) ** 2  # of white noise: twice its sum of squares
         latency.newest_m = h_m
     if not at_rest or latency.count >= FULL_POWER_SAMPLES:
-        update_correction(adaptive, adapt)
+        update_correction(params, adaptive)

@@ -7,9 +7,9 @@ import math
 
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
-from surffollow.forecast.estimation import adaptation, estimate, innovation_gate
+from surffollow.forecast.estimation import estimate, innovation_gate
+from surffollow.forecast.modes import adapts, orients
 from surffollow.forecast.pose import footprint, newest_pose
-from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.forecast.sensing import (
     clock,
     descent,
@@ -23,17 +23,15 @@ from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
 from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_follow import RUN_FREEZE
 
 
 @jit_inlined
-def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose):
+def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     """Process a new sample, if there is one; a sample that does not enter the estimate is not mapped.
 
     Parameters
     ----------
     params, adaptive, sense, fold, inputs, output : dimensionless records (`reference_scales`)
-    orients : bool       three or more sensors and the tool is rotated to the surface normal
     pose : (7,) float64  scratch: the pose at the sample's time
 
     Notes
@@ -41,19 +39,18 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
     The newest pose reported gives the desired height and the sample's place in the preview.
     """
     sample = adaptive.sample
-    is_new, channel, range_m, t = take_sample(params, adaptive, sense, inputs, output, orients, pose)
+    is_new, channel, range_m, t = take_sample(params, adaptive, sense, inputs, output, pose)
     if not is_new:
         return
-    responds, t = observe_sensor(params, adaptive, sense, t, range_m, orients, pose)
+    responds, t = observe_sensor(params, adaptive, sense, t, range_m, pose)
     if t <= adaptive.estimate.sample_ns or not responds or adaptive.repeats.unused != 0:
         return
     x, y, h, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
     close = health.count_close(adaptive.health, range_m < params.too_close_m)
     if close or fold.close != 0:
         fold_back.watch_fold_back(params, fold, range_m, sensor_z)
-    adapt = params.adapt != 0 and params.run != RUN_FREEZE
     at_rest = kinematics.is_at_rest(adaptive.kinematics)
-    if orients:
+    if orients(params):
         x, y = pose[0], pose[1]
         accepted, h = plane_fit.plane_height(params, adaptive, t, x, y)
         if accepted == 0:
@@ -63,36 +60,33 @@ def process_sample(params, adaptive, sense, fold, inputs, output, orients, pose)
             if adaptive.beams.accepted[c] == 0:  # excluded beams are not mapped
                 output.fresh &= ~(1 << c)
     elif at_rest or adaptive.latency.count > 0:
-        latency_identification.observe_height(adaptive, sense, t, h, at_rest, adapt, pose)
+        latency_identification.observe_height(params, adaptive, sense, t, h, pose)
         kinematics.predict_pose(adaptive.kinematics, sense, t, pose)  # the regression needs other poses
-    travel = advance_path(params, adaptive, t, x, y, orients, pose)
-    standoff_m = standoff.standoff_height(params, adaptive.plane, sense, orients)
+    travel = advance_path(params, adaptive, t, x, y, pose)
+    standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     if not at_rest:
         newest = 7 * newest_pose(sense)
-        gap_x, gap_y = x - sense.pose[newest], y - sense.pose[newest + 1]
-        ahead = kinematics.distance_along(adaptive.kinematics, gap_x - sample.tip_x_m, gap_y - sample.tip_y_m)
+        ahead = footprint_lead(adaptive, sense.pose[newest], sense.pose[newest + 1])
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
-    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapt)
+    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapts(params))
     sample.arc_length_m = adaptive.estimate.arc_length_m  # an initialisation advances it farther
     if not entered:
         return
     terrain_buffer.store_ground_under(adaptive, sample.arc_length_m, h)
-    preview.observe_ground(adaptive, h, adapt)
-    if adapt or adaptive.adaptation.permitted_variance_m == 0.0:
-        adaptation.update_deadband(params, adaptive)
-    if not orients:
+    preview.observe_ground(params, adaptive, h)
+    if not orients(params):
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, h
 
 
 @jit_inlined
-def take_sample(params, adaptive, sense, inputs, output, orients, pose):
+def take_sample(params, adaptive, sense, inputs, output, pose):
     """Whether there is a new sample, its channel, range and timestamp; one sensor is not mapped yet.
 
     Parameters
     ----------
-    params, adaptive, sense, inputs, output, orients : as in `process_sample`
+    params, adaptive, sense, inputs, output : as in `process_sample`
     pose : (7,) float64  scratch
 
     Returns
@@ -100,7 +94,7 @@ def take_sample(params, adaptive, sense, inputs, output, orients, pose):
     bool, int64, float64 [m], int64 [ns]
     """
     channel = 0
-    if orients:
+    if orients(params):
         reference = adaptive.beams.reference
         if inputs.n_ranges > 0 and sense.fresh[reference] != 0:
             observe_timestamp(adaptive, sense.range_t_ns[reference])
@@ -112,12 +106,12 @@ def take_sample(params, adaptive, sense, inputs, output, orients, pose):
         rotation_response.reset_rotation(adaptive.rotation)
     if channel < 0:
         return False, channel, 0.0, 0
-    is_new, range_m, t = new_sample(params, adaptive, sense, inputs.n_ranges, channel, orients)
+    is_new, range_m, t = new_sample(params, adaptive, sense, inputs, channel)
     return is_new, channel, range_m, t
 
 
 @jit_inlined
-def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
+def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     """Test the sensor with a sample: whether it responds, and the sample's time less the latency.
 
     Parameters
@@ -125,23 +119,22 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
     t_ns : int64         timestamp of the sample
     range_m : float64    its range [m]
-    orients : bool       as in `process_sample`
     pose : (7,) float64  receives the pose at the sample's time
 
     Returns
     -------
     bool, int64 [ns]
     """
-    update_prediction(adaptive.prediction, t_ns, range_m)
+    update_prediction(params, adaptive.prediction, t_ns, range_m)
     record_sample(adaptive.hold, t_ns, range_m)
-    if not orients:  # beams have timestamps of their own, without correction
+    if not orients(params):  # beams have timestamps of their own, without correction
         t_ns -= int(adaptive.latency.correction_s * 1e9)
     delay_s = (adaptive.clock.now_ns - t_ns) * 1e-9
     latency_identification.update_delay(adaptive.latency, delay_s, adaptive.prediction.interval_s)
     kinematics.predict_pose(adaptive.kinematics, sense, t_ns, pose)
     was_stuck = response.is_unresponsive(adaptive.response)
-    gap_s = health.dropout_tolerance_s(adaptive.prediction) + MAX_GAP_NS * 1e-9
-    if orients:
+    gap_s = health.dropout_tolerance_s(adaptive.prediction)
+    if orients(params):
         range_m = rotation_response.mean_range(adaptive.beams, params.n_channels, t_ns, range_m)
     response.observe_response(params, adaptive, t_ns, range_m, pose[2], gap_s)
     descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
@@ -152,7 +145,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, orients, pose):
 
 
 @jit_inlined
-def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
+def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
     """Advance the path to a footprint; returns the distance travelled since the one before [m].
 
     Parameters
@@ -160,17 +153,12 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
     params, adaptive : records of `Params`, `AdaptiveState` (`sample` updated)
     t_ns : int64         time of the sample
     x_m, y_m : float64   its footprint [m]
-    orients : bool       as in `process_sample`
     pose : (7,) float64  pose at that time
     """
     motion, sample, known = adaptive.kinematics, adaptive.sample, adaptive.estimate.samples > 0
     sample.tip_x_m = sample.tip_y_m = 0.0
-    if not orients:
+    if not orients(params):
         sample.tip_x_m, sample.tip_y_m, _ = standoff.axis_ground_point(params, pose, 0)
-    if not kinematics.is_at_rest(motion):
-        gap_x, gap_y = x_m - pose[0] - sample.tip_x_m, y_m - pose[1] - sample.tip_y_m
-        lead = kinematics.distance_along(motion, gap_x, gap_y)
-        sample.lead_m = clock.follow_usual(sample.lead_m if known else 0.0, lead)
     travel = motion.speed_mps * (t_ns - adaptive.estimate.sample_ns) * 1e-9 if known else 0.0
     # the tool of a slow sensor may have turned since the sample before
     if known and innovation_gate.is_slow(adaptive) and not spans_jump(adaptive):
@@ -178,7 +166,18 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, orients, pose):
     follow_heading(adaptive, x_m, y_m)
     sample.spacing_m = clock.follow_usual(sample.spacing_m, travel)
     sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, adaptive.estimate.arc_length_m + travel
+    if not kinematics.is_at_rest(motion):
+        lead_m = footprint_lead(adaptive, pose[0], pose[1])
+        sample.lead_m = clock.follow_usual(sample.lead_m if known else 0.0, lead_m)
     return travel
+
+
+@jit
+def footprint_lead(adaptive, x_m, y_m):
+    """Distance of the newest footprint ahead of the point under a tool at (x, y) [m]; the tool must move."""
+    sample = adaptive.sample
+    gap_x, gap_y = sample.x_m - x_m - sample.tip_x_m, sample.y_m - y_m - sample.tip_y_m
+    return kinematics.distance_along(adaptive.kinematics, gap_x, gap_y)
 
 
 @jit

@@ -12,7 +12,6 @@ Over a slope, where the range returns to no mean, it is 0.
 
 import math
 
-from surffollow.forecast.quantities import GATE_SCALES, MAX_GAP_NS
 from surffollow.forecast.sensing.clock import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 
@@ -57,12 +56,6 @@ def predict_range(prediction, horizon_s):
 
 
 @jit
-def longest_gap_s(prediction):
-    """Longest time between two samples of the same motion [s]; slow beams have no gap."""
-    return MAX_GAP_NS * 1e-9 + 2.0 * prediction.interval_s
-
-
-@jit
 def begin_mean(prediction, range_m):
     """Begin the mean at a range; the forecast that is to be compared is discarded."""
     prediction.mean_m, prediction.mean_s, prediction.check_ns = range_m, 0.0, 0
@@ -94,7 +87,7 @@ def update_mean(prediction, dt):
 
 
 @jit_inlined
-def update_prediction(prediction, t_ns, range_m):
+def update_prediction(params, prediction, t_ns, range_m):
     """Update level, trend, mean and interval; a single outlier is rejected, a second one is a jump."""
     dt = (t_ns - prediction.t_ns) * 1e-9
     # after five intervals, or 5 s if that is more, it begins at this range
@@ -107,7 +100,7 @@ def update_prediction(prediction, t_ns, range_m):
     unit_s, decay_s, return_s = time_constants_s(prediction)
     expected_m = predict_range(prediction, dt)
     innovation = range_m - expected_m
-    outlier = abs(innovation) > GATE_SCALES * prediction.scale_m > 0.0
+    outlier = abs(innovation) > params.gate_scales * prediction.scale_m > 0.0
     if outlier and prediction.rejected < 1:
         prediction.rejected = 1
         return

@@ -3,6 +3,7 @@
 A sensor holds each value for a while, and the converter reads it many times.
 """
 
+from surffollow.forecast.modes import orients
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
@@ -11,7 +12,7 @@ HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sa
 
 
 @jit_inlined
-def new_sample(params, adaptive, sense, ranges_given, channel, orients):
+def new_sample(params, adaptive, sense, inputs, channel):
     """Whether a channel has a new sample, its range and timestamp.
 
     Conversions of a held value are one sample with the timestamp of the first of them. An unchanged value is
@@ -19,20 +20,18 @@ def new_sample(params, adaptive, sense, ranges_given, channel, orients):
 
     Parameters
     ----------
-    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
-    ranges_given : int  > 0: ranges are given to the step, no conversions
+    params, adaptive, sense, inputs : records of `Params`, `AdaptiveState` (updated), `SenseState`, `Inputs`
     channel : int
-    orients : bool      three or more sensors, and the tool is rotated to the surface normal
 
     Returns
     -------
     bool, float64 [m], int64 [ns]
     """
-    hold, n = adaptive.hold, sense.window_n[channel]
-    hold_ns = params.hold_ns
-    if (n if ranges_given == 0 else sense.fresh[channel]) == 0:
+    hold, n, hold_ns = adaptive.hold, sense.window_n[channel], params.hold_ns
+    converted = inputs.n_ranges == 0  # else ranges are given to the step
+    if (n if converted else sense.fresh[channel]) == 0:
         return False, 0.0, 0
-    if ranges_given != 0:
+    if not converted:
         value, t, flicker = sense.range_m[channel], sense.range_t_ns[channel], 0.0
     else:
         base = channel * CONVERSION_WINDOW
@@ -43,7 +42,7 @@ def new_sample(params, adaptive, sense, ranges_given, channel, orients):
         t += hold_ns // 2
         begun_ns = params.sensor_latency_ns - hold_ns // 2
         hold_ns += hold_ns // 2  # the begin of a held value is known to within a cycle
-    if not orients and sense.fresh[channel] != 0:
+    if not orients(params) and sense.fresh[channel] != 0:
         observe_timestamp(adaptive, t)
     if sense.fresh[channel] != 0:
         t += hold.shift_ns
@@ -52,7 +51,7 @@ def new_sample(params, adaptive, sense, ranges_given, channel, orients):
             return False, 0.0, 0
         if abs(value - hold.range_m) <= flicker:
             return t - hold.t_ns >= hold_ns, value, t
-    if ranges_given == 0:
+    if converted:
         k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
         while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
             earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns + hold.shift_ns

@@ -1,5 +1,6 @@
 """Point of the ground under the tool, and the desired height of the tool above it."""
 
+from surffollow.forecast.modes import orients
 from surffollow.forecast.pose import newest_pose, to_world
 from surffollow.shm.jit import jit_inlined
 
@@ -27,16 +28,15 @@ def axis_ground_point(params, pose, at):
 
 
 @jit_inlined
-def standoff_height(params, plane, sense, orients):
+def standoff_height(params, plane, sense):
     """Desired height of the tool, in the newest pose reported, above the ground point on its axis [m].
 
     Parameters
     ----------
     params, plane, sense : records of `Params`, `Plane`, `SenseState`
-    orients : bool  three or more sensors, and the tool is rotated to the surface normal
     """
     pose, at = sense.pose, 7 * newest_pose(sense)
-    if not orients:
+    if not orients(params):
         _, _, tip_z = axis_ground_point(params, pose, at)
         return -tip_z
     tx, ty, tz = to_world(pose, at, 0.0, 0.0, 1.0)

@@ -4,8 +4,10 @@ import math
 
 from surffollow.forecast import quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
+from surffollow.forecast.estimation.adaptation import permitted_variance_m
 from surffollow.forecast.plant import controller_clock, shadow_axes
-from surffollow.forecast.sensing import health, measurement, unseen_ground
+from surffollow.forecast.sensing import measurement, unseen_ground
+from surffollow.forecast.sensing.health import tolerated_gap_s
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
@@ -17,7 +19,7 @@ from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 def dropout_s(adaptive):
     """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
     since_s = (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9 - adaptive.latency.delay_s
-    return since_s - max(quantities.MISSING_NS * 1e-9, health.dropout_tolerance_s(adaptive.prediction))
+    return since_s - tolerated_gap_s(adaptive.prediction.interval_s, quantities.MISSING_NS)
 
 
 @jit_inlined
@@ -137,7 +139,7 @@ def filter_setpoint(params, adaptive, target_m):
     Beyond the deadband b the excess x decays by dx/dt = −x² / (2.5 b · 10 ms): one of 2.5 b is halved in
     10 ms. The result does not depend on the length of the cycle.
     """
-    clock, adaptation, blend = adaptive.clock, adaptive.adaptation, adaptive.blend
+    clock, blend = adaptive.clock, adaptive.blend
     dt = (clock.now_ns - blend.filtered_ns) * 1e-9
     if dt == 0.0:
         return blend.filtered_m
@@ -147,7 +149,7 @@ def filter_setpoint(params, adaptive, target_m):
         return target_m
     blend.filtered_m += blend.rate_mps * dt
     e = target_m - blend.filtered_m
-    deadband_m = params.deadband_share * adaptation.permitted_variance_m
+    deadband_m = params.deadband_share * permitted_variance_m(params, adaptive)
     excess = abs(e) - deadband_m
     if excess > 0.0:
         softness = 2.5 * deadband_m
@@ -172,7 +174,7 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
     if estimate.accepted_ns < kinematics.jump_ns <= adaptive.clock.now_ns:
         return tool_z_m  # heights are in the frame before the jump
-    few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
+    few = estimate.samples < quantities.USUAL_SAMPLES and dropout_s(adaptive) > 0.0
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(params, adaptive.response, standoff_m)

@@ -3,6 +3,7 @@
 import math
 
 from surffollow.forecast.estimation import model_bank, model_weights, noise
+from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant.axis_model import MAX_MODEL_ERROR_M, PERIOD_S
 from surffollow.forecast.quantities import USUAL_SAMPLES
 from surffollow.forecast.terrain import known_ground, terrain_buffer
@@ -20,14 +21,13 @@ def bank_rise(adaptive, ahead_m):
 
 
 @jit
-def observe_ground(adaptive, h_m, adapt):
+def observe_ground(params, adaptive, h_m):
     """Compare an accepted height with its prediction, one after the other; predict the next one.
 
     Parameters
     ----------
-    adaptive : record of `AdaptiveState` (`preview` updated)
+    params, adaptive : records of `Params`, `AdaptiveState` (`preview` updated)
     h_m : float64  the height [m]
-    adapt : bool   False: only the recent mean is updated
     """
     preview, s = adaptive.preview, adaptive.estimate.arc_length_m
     if s < preview.predicted_from_m + PREDICTION_M:
@@ -36,7 +36,7 @@ def observe_ground(adaptive, h_m, adapt):
     preview.mean_m += 1.0 / USUAL_SAMPLES * offset
     if s > preview.predicted_from_m + 2.0 * PREDICTION_M:
         preview.mean_m = h_m
-    elif adapt:
+    elif adapts(params):  # otherwise only the recent mean is updated
         preview.offset_m2 += 1.0 / USUAL_SAMPLES * (offset * offset - preview.offset_m2)
         preview.error_m2 += 1.0 / USUAL_SAMPLES * (error * error - preview.error_m2)
     preview.predicted_m, preview.predicted_from_m = h_m + bank_rise(adaptive, PREDICTION_M), s
@@ -128,9 +128,3 @@ def withdraw_preview(preview):
     """Set preview's share to zero at once: its plan does not apply any more."""
     preview.sensed_periods = 0
     preview.share = 0.0
-
-
-@jit
-def plan_call_s(adaptive):
-    """Usual interval of the calls while plans are used [s]; 0: no plan needs a punctual period."""
-    return adaptive.setpoint.interval_s if adaptive.preview.share > 0.0 else 0.0

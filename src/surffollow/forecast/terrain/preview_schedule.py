@@ -4,10 +4,11 @@
 (comparison with known ground). In all other cycles nothing is read and nothing is logged.
 """
 
+from surffollow.forecast.modes import orients
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.reference_scales import dimensionless_time, is_unscaled
 from surffollow.forecast.sensing import kinematics, sample_hold
-from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
+from surffollow.forecast.terrain import known_ground
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
@@ -47,13 +48,10 @@ def preview_uses(params, adaptive, inputs, now_ns):
     """
     if params.mode != MODE_ADAPTIVE or params.preview == 0 or adaptive.estimate.samples == 0:
         return 0
-    orients = params.orient != 0 and params.n_channels >= 3
-    leads = terrain_buffer.sensor_leads(adaptive) or adaptive.lookahead.lead_m > 0.0
-    if orients or leads or kinematics.is_at_rest(adaptive.kinematics):
+    leads = known_ground.known_source(adaptive) == 0  # it measures newer ground than the map
+    if orients(params) or leads or kinematics.is_at_rest(adaptive.kinematics):
         return 0
-    call_s = preview.plan_call_s(adaptive)
-    is_due = controller_clock.period_is_due(adaptive.controller, call_s, inputs.n_ranges, now_ns)
-    due = FOR_PERIOD if is_due else 0
+    due = FOR_PERIOD if controller_clock.period_is_due(adaptive, inputs, now_ns) else 0
     return due | FOR_SAMPLE if has_reading(params, adaptive, inputs) else due
 
 

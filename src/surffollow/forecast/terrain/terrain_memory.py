@@ -9,27 +9,23 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.forecast.quantities import LONG_GAP_NS
 from surffollow.forecast.reference_scales import dimensionless_time
 from surffollow.forecast.terrain.preview_schedule import preview_window
 from surffollow.forecast.terrain.terrain_buffer import CELL_M
+from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_estimation import MemoryCell
 from surffollow.shm.layout_follow import MAX_PREVIEW
 
 CELLS = 1 << 16  # number of cells
-MEMORY = np.dtype(
-    [(name, np.int64) for name in ("ix", "iy", "t_ns")]
-    + [(name, np.float64) for name in ("n", "height_m", "n_before", "height_before_m")]
-)
-"""A cell: which it is, when it was last written, its mean, and the mean before this pass began."""
 
 
 def new_memory() -> NDArray[Any]:
     """Empty memory."""
-    return np.zeros(CELLS, MEMORY)
+    return zeros(MemoryCell, CELLS)
 
 
 @jit
@@ -50,7 +46,7 @@ def store_height(memory, x_m, y_m, height_m, t_ns):
 
     Parameters
     ----------
-    memory : (CELLS,) records of `MEMORY`  updated
+    memory : (CELLS,) records of `MemoryCell`  updated
     x_m, y_m, height_m : float64  world frame [m]; a height that is not finite is ignored
     t_ns : int64                  time of the height [ns]
     """
@@ -74,7 +70,7 @@ def read_height(memory, x_m, y_m, before_ns):
 
     Parameters
     ----------
-    memory : (CELLS,) records of `MEMORY`
+    memory : (CELLS,) records of `MemoryCell`
     x_m, y_m : float64  the point, world frame [m]
     before_ns : int64   only heights stored before this time [ns] count
     """
@@ -97,7 +93,7 @@ def read_preview(memory, params, state, inputs):
 
     Parameters
     ----------
-    memory : (CELLS,) records of `MEMORY`
+    memory : (CELLS,) records of `MemoryCell`
     params, state : (1,) records of `Params`, `FollowState`
     inputs : (1,) records of `Inputs`      n_preview, preview_from_m, preview_step_m, preview_m are set
 
