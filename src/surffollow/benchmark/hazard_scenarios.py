@@ -84,7 +84,7 @@ KINDS = {
     ),
     "valley and slow": Kind(slope=(0.05, 0.4), interval_ms=(20, 500), valley=True),
     "stairs and slow": Kind((5e-3, 25e-3), signed=True, interval_ms=(20, 500)),
-    "flank": Kind(slope=(1.0, 2.5), interval_ms=(READING_MS, 60), rises=True),
+    "flank": Kind(slope=(1.0, 12.0), interval_ms=(READING_MS, 60), rises=True),
     "blocked and slow": Kind((0.0, 20e-3), (0.3, 1.5), signed=True, interval_ms=(READING_MS, 100)),
     "one of three blocked": Kind((0.0, 20e-3), (0.3, 2.0), signed=True, mounts_m=THREE, slope=(0.0, 0.3)),
     "one of four blocked": Kind((0.0, 20e-3), (0.3, 2.0), signed=True, mounts_m=FOUR, slope=(0.0, 0.3)),

@@ -140,6 +140,8 @@ class Buffer(Schema):
     arc_length_m = F64(BUFFER_CELLS, unit="m", doc="mean arc length")
     x_m = F64(BUFFER_CELLS, unit="m", doc="place of its first height")
     y_m = F64(BUFFER_CELLS, unit="m")
+    newest_arc_length_m = F64(unit="m", doc="arc length of the newest height")
+    newest_height_m = F64(unit="m", doc="that height")
 
 
 class MemoryCell(Schema):

@@ -25,8 +25,9 @@ def _agrees(params, adaptive, innovation_m, travel_m, gate_m):
     tolerance = max(INNER_GATE * gate_m, params.gate_m, 1.5 * count_m(adaptive.hold))
     if further_m * innovation_m > 0.0:
         tolerance += travel_m
-        if innovation_m > 0.0:
-            tolerance = max(tolerance, MAX_SLOPE * travel_m)
+        if innovation_m > 0.0:  # ground that rises as quickly as the axis can, too
+            axis_m = params.plant_v_max_mps * adaptive.prediction.interval_s
+            tolerance = max(tolerance, MAX_SLOPE * travel_m, axis_m)
     return pending.samples > 0 and abs(further_m) < tolerance
 
 

@@ -10,6 +10,8 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
 CELL_M = 1e-3  # length of a cell along the path, side of a cell of the terrain memory
+HOLE_CELLS = 8  # longer holes are not bridged …
+FILLED_CELLS = BUFFER_CELLS // 8  # … but for those of the usual travel between two samples, up to so many
 
 
 @jit
@@ -38,8 +40,8 @@ def is_off_path(adaptive, c, s_m):
 
 
 @jit
-def store_ground(adaptive, s_m, h_m):
-    """Store a height at its arc length; a cell measured elsewhere is replaced."""
+def _fill_cell(adaptive, s_m, h_m):
+    """Add a height to the mean of its cell; a cell measured elsewhere is replaced."""
     buffer = adaptive.buffer
     k = int(s_m / CELL_M)
     c = k & (BUFFER_CELLS - 1)
@@ -50,6 +52,20 @@ def store_ground(adaptive, s_m, h_m):
     buffer.count[c] += 1.0
     buffer.height_m[c] += (h_m - buffer.height_m[c]) / buffer.count[c]
     buffer.arc_length_m[c] += (s_m - buffer.arc_length_m[c]) / buffer.count[c]
+
+
+@jit
+def store_ground(adaptive, s_m, h_m):
+    """Store a height at its arc length; wide cells between samples in a row are filled on a straight line."""
+    buffer = adaptive.buffer
+    gap_m = s_m - buffer.newest_arc_length_m
+    usual_m = min(adaptive.kinematics.speed_mps * adaptive.prediction.interval_s, FILLED_CELLS * CELL_M)
+    if HOLE_CELLS * CELL_M <= gap_m < 1.5 * usual_m:
+        for k in range(1, int(gap_m / CELL_M)):
+            h = buffer.newest_height_m + (h_m - buffer.newest_height_m) * k * CELL_M / gap_m
+            _fill_cell(adaptive, buffer.newest_arc_length_m + k * CELL_M, h)
+    _fill_cell(adaptive, s_m, h_m)
+    buffer.newest_arc_length_m, buffer.newest_height_m = s_m, h_m
 
 
 @jit
@@ -71,7 +87,7 @@ def buffered_height(adaptive, s_m):
     buffer = adaptive.buffer
     k = math.floor(s_m / CELL_M)
     below, above = -1, -1
-    for j in range(8):  # longer holes are not bridged
+    for j in range(HOLE_CELLS):
         c = (k - j) & (BUFFER_CELLS - 1)
         if below < 0 and buffer.cell[c] == k - j + 1 and buffer.arc_length_m[c] <= s_m:
             below = c
