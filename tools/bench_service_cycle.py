@@ -1,4 +1,4 @@
-"""What the follower's cycle takes inside the service: the work of a cycle with and without it, by turns.
+"""The follower's cycle inside the service: the work of a cycle with and without it, by turns.
 
 Work is the time from a cycle's first clock reading until its outputs are published. At 1 kHz the caches are
 colder than in a loop (`bench_cycle.py`), and a cycle takes in conversions, requests and the pose. One client

@@ -12,7 +12,7 @@ import math
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
-from surffollow.forecast.sensing.mean_range import MIN_READINGS, mean_band_m, mean_samples
+from surffollow.forecast.sensing.mean_range import MAX_READINGS, mean_band_m, mean_samples
 from surffollow.forecast.sensing.response import ERROR_MOTION, MOTION_BANDS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
@@ -46,8 +46,8 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
         e > 0.02 s₀, Δz > 3 e, e Δz > 0.36 B s₀, Δz > 0.2 d, Δz > L
 
     It is to be tested L below the lowest height before, if B < 0.1 s₀ and Δz > 2 m d, and the test ends it.
-    L is 0.1 s₀, and twice as much behind each test that the range answers, until the tool rises. With two
-    samples in τ the tool would lag too far behind falling ground in a test.
+    L is 0.1 s₀, and twice as much behind each test that the range answers, until the tool rises. With fewer
+    than eight samples in τ the tool would lag too far behind falling ground in a test.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     descent.unexplained = 1 if long and great and steep and below else 0
     steeper = fall_m > STEEPER * descent.slope * descent.travel_m
     deep = tool_z_m < descent.floor_z_m - descent.reach_m
-    answers = number > MIN_READINGS and spread_m < share_m  # the test is short, and its answer stands out
+    answers = number >= MAX_READINGS and spread_m < share_m  # soon, and greater than the spread
     if descent.unexplained and steeper and deep and answers and adaptive.response.phase == RESPONSE_RUN:
         descent.tested_m, descent.reach_m = spread_m, 2.0 * descent.reach_m
 
