@@ -156,7 +156,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "test of the response": [("response", "elif not rises and (late or suspicious or far):", "elif False:")],
     "shift before a hold": [("response", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
-    "repeated ranges": [("response", "<= REPEAT_BAND * adaptive.noise.sigma_m", "< -1.0")],
+    "repeated ranges": [("repeated_ranges", "change_m > REPEAT_BAND * sigma_m", "change_m > -1.0")],
 }
 
 
