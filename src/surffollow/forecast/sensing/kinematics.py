@@ -3,8 +3,7 @@
 import math
 
 from surffollow.forecast.pose import newest_pose, pose_at
-from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS
-from surffollow.forecast.sensing.clock import follow_usual
+from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS, follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 

@@ -104,7 +104,7 @@ def read_preview(memory, params, state, inputs):
     i, d = inputs[0], state[0].scaled
     i.n_preview = 0
     due, x, y, ux, uy, first, last = preview_window(params, state, inputs)
-    if due == 0:
+    if not due:
         return
     i.preview_from_m = first
     i.preview_step_m = max(CELL_M * d.length, (last - first) / (MAX_PREVIEW - 1))
