@@ -11,7 +11,7 @@ import math
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height, half_squared_distance
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND, USUAL_SAMPLES
+from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
@@ -241,7 +241,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     if n < 4 or not begun or not apart:
         beams.inconsistent = 0
     elif is_bent(adaptive, params.n_channels, max(gate, plausible_bend_m(params, adaptive))):
-        beams.inconsistent = USUAL_SAMPLES
+        beams.inconsistent = CONFIRMED_SAMPLES
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
     good = 0
