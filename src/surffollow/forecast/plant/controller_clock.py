@@ -10,7 +10,7 @@ import math
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.pose import newest_until
-from surffollow.forecast.quantities import MAX_GAP_NS, follow_usual
+from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
@@ -85,8 +85,10 @@ def open_period(adaptive, inputs):
 
 @jit
 def usual_interval(usual_ns, dt_ns):
-    """Usual interval after one more, without gaps [ns]."""
-    return follow_usual(usual_ns, dt_ns) if 0 < dt_ns < MAX_GAP_NS else usual_ns
+    """Usual interval after one more [ns]: a mean over some ten, at first the first one, without gaps."""
+    if not 0 < dt_ns < MAX_GAP_NS:
+        return usual_ns
+    return usual_ns + (0.1 if usual_ns > 0.0 else 1.0) * (dt_ns - usual_ns)
 
 
 @jit
