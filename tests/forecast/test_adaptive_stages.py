@@ -27,11 +27,11 @@ from surffollow.forecast.sensing.sample_hold import count_m, record_sample, rese
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.forecast.step import follow_step
 from surffollow.forecast.terrain.terrain_buffer import buffered_height, store_ground
-from surffollow.forecast.terrain.terrain_memory import CELLS, new_memory, read_height, store_height
+from surffollow.forecast.terrain.terrain_memory import new_memory, read_height, store_height
 from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
-from surffollow.shm.layout_adaptive_estimation import CURVES
+from surffollow.shm.layout_adaptive_estimation import CURVES, MEMORY_CELLS
 from surffollow.shm.layout_follow import SenseState
 
 from .feeding import MS, default_params, feed
@@ -234,8 +234,8 @@ def test_the_terrain_memory_averages_a_cell_and_keeps_the_last_pass_apart():
 def test_a_full_terrain_memory_replaces_the_oldest_cell():
     memory = new_memory()
     rng = np.random.default_rng(0)
-    points = rng.uniform(-3.0, 3.0, (2 * CELLS, 2))
-    for k, (x, y) in enumerate(points[: CELLS // 2]):
+    points = rng.uniform(-3.0, 3.0, (2 * MEMORY_CELLS, 2))
+    for k, (x, y) in enumerate(points[: MEMORY_CELLS // 2]):
         store_height(memory, x, y, x + 2 * y, k + 1)
     errors = [read_height(memory, x, y, 10**9) - x - 2 * y for x, y in points[:2000]]
     assert np.nanmax(np.abs(errors)) < 0.02

@@ -10,7 +10,7 @@ import numpy as np
 
 from shell_loop import ShellLoop
 from surffollow.forecast.step import follow_step
-from surffollow.forecast.terrain.preview_schedule import preview_window
+from surffollow.forecast.terrain.preview_schedule import preview_uses, preview_window
 from surffollow.map.header import init_header
 from surffollow.map.kernels.geometry import open_journal, reset_begin, reset_step
 from surffollow.map.kernels.grids import update_map
@@ -150,9 +150,11 @@ class MapLoop(ShellLoop):
         x, y = sense["pose"][newest : newest + 2]
         return float(x), float(y)
 
-    def preview_uses(self) -> int:
-        """Uses of a preview in the next cycle: bits FOR_PERIOD, FOR_SAMPLE."""
-        return int(preview_window(self.params, self.state, self.inputs)[0])
+    def preview_uses(self) -> tuple[bool, bool]:
+        """Whether the next cycle uses a preview for a sample, and for a controller period."""
+        t_ns = max(int(self.inputs["t_ns"][0]), int(self._adaptive["clock"]["now_ns"]))
+        for_sample, for_period = preview_uses(self.params[0], self._adaptive, self.inputs[0], t_ns)
+        return bool(for_sample), bool(for_period)
 
     def preview_begin(self) -> tuple[float, float]:
         """Where the coming cycle's preview begins [m]."""

@@ -16,12 +16,13 @@ from surffollow.forecast.plant.controller_clock import (
     open_period,
     period_is_due,
 )
-from surffollow.forecast.terrain.preview_schedule import FOR_PERIOD, FOR_SAMPLE
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import MODE_PAPER, Inputs
 
 TOOLS = Path(__file__).parents[2] / "tools"
+# uses of a preview: for a sample, for a controller period
+NONE, FOR_SAMPLE, FOR_PERIOD = (False, False), (True, False), (False, True)
 
 
 def test_the_way_back_over_ground_just_mapped_is_followed_far_better_than_the_way_there():
@@ -106,14 +107,14 @@ def loop(on_flat_ground):
 
 def test_a_preview_is_due_for_each_controller_period(loop):
     loop.expect_nothing()
-    assert loop.preview_uses() == 0
+    assert loop.preview_uses() == NONE
     loop.expect_period()
     assert loop.preview_uses() == FOR_PERIOD
 
 
 @pytest.mark.parametrize(
     ("change_counts", "channel", "flags", "expected"),
-    [(40, 0, 0, FOR_SAMPLE), (40, 1, 0, 0), (40, 0, 1, 0)],
+    [(40, 0, 0, FOR_SAMPLE), (40, 1, 0, NONE), (40, 0, 1, NONE)],
     ids=["new", "of another channel", "invalid"],
 )
 def test_a_preview_is_due_for_new_valid_samples_of_the_first_sensor(
@@ -127,7 +128,7 @@ def test_a_preview_is_due_for_new_valid_samples_of_the_first_sensor(
 def test_no_preview_is_due_in_paper_mode_or_with_the_parameter_off(loop, name, value):
     loop.expect_reading(40)
     before = loop.set_param(name, value)
-    assert loop.preview_uses() == 0
+    assert loop.preview_uses() == NONE
     loop.set_param(name, before)
     assert loop.preview_uses() == FOR_SAMPLE
 
@@ -135,13 +136,13 @@ def test_no_preview_is_due_in_paper_mode_or_with_the_parameter_off(loop, name, v
 def test_no_preview_is_due_for_a_sensor_that_leads_and_so_sees_better_than_memory(loop):
     loop.expect_reading(40)
     loop.lead(0.05)
-    assert loop.preview_uses() == 0
+    assert loop.preview_uses() == NONE
 
 
 def test_the_map_is_used_again_when_a_second_sensor_no_longer_leads(loop):
     loop.expect_reading(40)
     loop.look_ahead(0.05)
-    assert loop.preview_uses() == 0
+    assert loop.preview_uses() == NONE
     loop.look_ahead(0.0)
     assert loop.preview_uses() == FOR_SAMPLE
 

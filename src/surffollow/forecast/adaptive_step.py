@@ -132,8 +132,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         return health.forget(adaptive.health, layout_adaptive.FAULT_CLOCK)
     if kinematics.update_kinematics(params, adaptive.kinematics, sense):
         setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
-    applied = params.run == layout.RUN_NORMAL
-    plant_identification.update_plant(params, adaptive, sense, inputs.n_ranges, params.adapt != 0 and applied)
+    plant_identification.update_plant(params, adaptive, sense, inputs)
     measurement.process_sample(params, adaptive, sense, fold, inputs, output, pose)
     if not orients(params) and params.n_channels > 1:
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
@@ -176,7 +175,8 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     output.demand[2] = limited
     if close == 0 and not stuck and orients(params) and adaptive.plane.count > 0:
         attitude.demand_rotation(params, adaptive, sense, output)
-    plant_identification.record_own_setpoint(adaptive, answered, tool_z + (limited if applied else 0.0))
+    applied_m = limited if params.run == layout.RUN_NORMAL else 0.0
+    plant_identification.record_own_setpoint(adaptive, answered, tool_z + applied_m)
     if params.run == layout.RUN_DRYRUN:
         setpoint_limits.mark_dryrun(setpoint, 1)
     elif params.run == layout.RUN_FREEZE:

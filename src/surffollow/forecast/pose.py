@@ -36,24 +36,24 @@ def to_world(pose, at, x, y, z):
 
 
 @jit
-def rotation_between(a, b):
-    """Rotation vector that turns unit vector a into b by the smaller angle, and that angle.
+def rotation_between(u, v):
+    """Rotation vector that turns unit vector u into v by the smaller angle, and that angle.
 
     For opposite vectors the axis is undefined; the rotation is then zero.
 
     Parameters
     ----------
-    a, b : (3,) float64, or three of them  unit vectors
+    u, v : (3,) float64, or three of them  unit vectors
 
     Returns
     -------
     3 × float64, float64 [rad]
     """
-    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
     sine = math.sqrt(x * x + y * y + z * z)
     if not sine > 1e-12:
         return (0.0, 0.0, 0.0), 0.0
-    angle = math.atan2(sine, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    angle = math.atan2(sine, u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
     return (x * angle / sine, y * angle / sine, z * angle / sine), angle
 
 

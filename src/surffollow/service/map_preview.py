@@ -23,7 +23,7 @@ BRIDGE_M = 8e-3  # holes up to this long are bridged, as those of a leading sens
 def look_ahead(mem: Any) -> None:
     """Set n_preview, preview_from_m, preview_step_m and preview_m of the coming cycle's inputs."""
     due, x, y, ux, uy, first, last = preview_window(mem.params, mem.state, mem.inputs)
-    if due == 0:
+    if not due:
         return
     grid_m = grid_width(mem.header)
     length = mem.state[0].scaled.length

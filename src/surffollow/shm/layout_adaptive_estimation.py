@@ -10,6 +10,7 @@ N_AXES = N_MODELS + WAVES  # simulated: of all models with their lead, of those 
 N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
+MEMORY_CELLS = 1 << 16  # of the terrain memory
 
 WITHHELD, PENDING, ACCEPTED, STEP, RESTART = range(5)  # what becomes of a sample (`innovation_gate`)
 

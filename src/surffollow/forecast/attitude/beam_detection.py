@@ -9,9 +9,9 @@ those of two others is blocked, or stuck. Without a majority the beams that see 
 import math
 
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height, half_squared_distance
-from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND, USUAL_SAMPLES
+from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
@@ -98,7 +98,7 @@ def observe_beams(params, adaptive, sense, pose):
 @jit
 def beam_noise_m(params, adaptive):
     """Standard deviation of a range [m]. That of the heights is less: they are means over the beams."""
-    return max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(params.n_channels)
+    return assumed_noise_m(adaptive.noise) * math.sqrt(params.n_channels)
 
 
 @jit
@@ -169,8 +169,7 @@ def plausible_bend_m(params, adaptive):
 @jit
 def is_bent(adaptive, n_channels, gate_m):
     """Whether the accepted beams lie on no plane within the gate."""
-    beams = adaptive.beams
-    fit = fit_plane(beams, beams.accepted, n_channels, adaptive.plane, adaptive.noise.sigma_m)
+    fit = fit_plane(adaptive, adaptive.beams.accepted, n_channels)
     return fit.rank == 2 and fit.error_m2 > gate_m * gate_m
 
 
@@ -242,7 +241,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     if n < 4 or not begun or not apart:
         beams.inconsistent = 0
     elif is_bent(adaptive, params.n_channels, max(gate, plausible_bend_m(params, adaptive))):
-        beams.inconsistent = USUAL_SAMPLES
+        beams.inconsistent = CONFIRMED_SAMPLES
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
     good = 0

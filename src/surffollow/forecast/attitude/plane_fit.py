@@ -90,13 +90,13 @@ def update_plane(params, adaptive, dt):
     PlaneFit
     """
     beams, plane = adaptive.beams, adaptive.plane
-    fit = plane_regression.fit_plane(beams, beams.weight, params.n_channels, plane, adaptive.noise.sigma_m)
+    fit = plane_regression.fit_plane(adaptive, beams.weight, params.n_channels)
     plane.rank = fit.rank if beams.inconsistent == 0 else 0
     share = slope_gain(dt)
     if plane.rank == 2:
         plane.fitted_x, plane.fitted_y = plane.slope_x + fit.error_x, plane.slope_y + fit.error_y
         plane.spread_m2 = fit.spread_m2
-        error = plane_regression.curvature_error(beams, plane, params.n_channels, fit)
+        error = plane_regression.curvature_error(adaptive, params.n_channels, fit)
         plane.curvature += min(2.5 * dt, 0.5) * error  # a mean over 0.4 s
         rate_gain_hz = 0.25 * share * share / dt if dt > 0.0 else 0.0
         plane.slope_rate_x_hz += rate_gain_hz * fit.error_x

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.shm.jit import jit
 
 
@@ -34,20 +34,20 @@ def flat_height(beams, curvature, c):
 
 
 @jit
-def fit_plane(beams, weights, n_channels, plane, sigma_m):
+def fit_plane(adaptive, weights, n_channels):
     """Weighted least squares of a plane, along the principal axes of the footprints.
 
     Parameters
     ----------
-    beams, plane : records of `Beams`, `Plane`: known slopes and curvature, by which the heights are corrected
+    adaptive : record of `AdaptiveState`: heights are corrected by the known slopes and curvature
     weights : (8,) array  0 to 1; 0: the beam does not count
     n_channels : int      channels in use
-    sigma_m : float64     standard deviation of a reading [m]
 
     Returns
     -------
     PlaneFit
     """
+    beams, plane = adaptive.beams, adaptive.plane
     total, mx, my, mh = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w = weights[c]
@@ -67,7 +67,7 @@ def fit_plane(beams, weights, n_channels, plane, sigma_m):
     minor = xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux
     along, across = (xh * ux + yh * uy) / major, (yh * ux - xh * uy) / minor
     # footprints nearer to each other than 20 standard deviations of a reading give no slope
-    least_m2 = (20.0 * max(sigma_m, MIN_NOISE_M)) ** 2
+    least_m2 = (20.0 * assumed_noise_m(adaptive.noise)) ** 2
     rank = 1 if major > least_m2 else 0
     error_m2 = hh - major * along * along - minor * across * across
     if minor > max(least_m2, 1e-2 * (major + minor)):
@@ -79,7 +79,7 @@ def fit_plane(beams, weights, n_channels, plane, sigma_m):
 
 
 @jit
-def curvature_error(beams, plane, n_channels, fit):
+def curvature_error(adaptive, n_channels, fit):
     """Error of the mean curvature by the residuals of the plane (normalised least mean squares) [1/m].
 
     Three beams have no residuals. A ring without a beam in the middle has a single
@@ -87,10 +87,11 @@ def curvature_error(beams, plane, n_channels, fit):
 
     Parameters
     ----------
-    beams, plane : records of `Beams`, `Plane`
+    adaptive : record of `AdaptiveState`
     n_channels : int  channels in use
     fit : PlaneFit    of these beams
     """
+    beams, plane = adaptive.beams, adaptive.plane
     total, mean_q, square_q, covariance = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
         w, q = beams.weight[c], half_squared_distance(beams, c)

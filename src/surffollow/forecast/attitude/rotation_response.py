@@ -12,7 +12,7 @@ import math
 
 from surffollow.forecast.attitude.beam_detection import is_recent
 from surffollow.forecast.attitude.plane_fit import slope_gain
-from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import rotate, rotation_between, to_world
 from surffollow.forecast.sensing import response
 from surffollow.forecast.sensing.health import dropout_tolerance_s
@@ -85,7 +85,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     share = slope_gain(dt)
     mean[0], mean[1] = mean[0] + share * (dx - mean[0]), mean[1] + share * (dy - mean[1])
     # beyond four standard deviations of the mean the deviation has changed
-    band = 4.0 * max(adaptive.noise.sigma_m, MIN_NOISE_M) * math.sqrt(share / plane.spread_m2)
+    band = 4.0 * assumed_noise_m(adaptive.noise) * math.sqrt(share / plane.spread_m2)
     factor = 1.0 if rotation.phase == ROTATION_RUN else TEST_BAND_FACTOR
     if math.hypot(mean[0] - run[0], mean[1] - run[1]) > factor * band:
         _begin_run(rotation, t_ns, axis)

@@ -5,9 +5,15 @@ import math
 from surffollow.forecast.quantities import QUICK_RATE
 from surffollow.shm.jit import jit
 
-MIN_NOISE_M = 50e-6  # floor of the variance that the bank assumes
+MIN_NOISE_M = 50e-6  # a floor, so that no stage trusts a reading without limit
 INITIAL_NOISE_M = 300e-6  # assumed before it is estimated
 MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
+
+
+@jit
+def assumed_noise_m(noise):
+    """Standard deviation of a reading that all stages assume [m]: the estimated one, or the floor."""
+    return max(noise.sigma_m, MIN_NOISE_M)
 
 
 @jit

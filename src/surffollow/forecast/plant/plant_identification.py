@@ -14,6 +14,7 @@ from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
+from surffollow.shm.layout_follow import RUN_NORMAL
 
 TAU_RATIO = 1.5  # between neighbouring τ
 
@@ -122,14 +123,12 @@ def best_time_constant(plant):
 
 
 @jit
-def update_plant(params, adaptive, sense, ranges_given, adapt):
-    """Compare the axis models with a new pose report and move τ toward the best one.
+def update_plant(params, adaptive, sense, inputs):
+    """Compare the axis models with a new pose report; move τ toward the best one while demands are applied.
 
     Parameters
     ----------
-    params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
-    ranges_given : int  > 0: the caller latches each answer himself
-    adapt : bool        False: τ stays as it is
+    params, adaptive, sense, inputs : records of `Params`, `AdaptiveState` (updated), `SenseState`, `Inputs`
     """
     plant, setpoint = adaptive.plant, adaptive.setpoint
     newest = newest_pose(sense)
@@ -145,7 +144,7 @@ def update_plant(params, adaptive, sense, ranges_given, adapt):
     if not applied or not continues or plant.tau_configured_s != params.plant_tau_s:
         reset_axes(params, adaptive, t, z)
         return
-    if ranges_given <= 0:
+    if inputs.n_ranges <= 0:  # otherwise the caller latches each answer himself
         record_latch(plant, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS, plant.newest_m)
     propagate_axes(params, plant, t)
     least = math.inf
@@ -161,7 +160,8 @@ def update_plant(params, adaptive, sense, ranges_given, adapt):
     plant.axis_mps += 2.0 * e
     limit = params.plant_v_max_mps
     plant.axis_mps = min(max(plant.axis_mps, -limit), limit)
-    if not adapt or not least < axis_model.MAX_MODEL_ERROR_M:
+    adapts = params.adapt != 0 and params.run == RUN_NORMAL
+    if not adapts or not least < axis_model.MAX_MODEL_ERROR_M:
         return
     for k in range(N_PLANTS):
         e = plant.position_m[k] - z

@@ -1,6 +1,6 @@
-"""The follower's time: the latest timestamp of steps and poses. Means over usual numbers of samples."""
+"""The follower's time: the latest timestamp of steps and poses."""
 
-from surffollow.forecast.quantities import LONG_GAP_NS, USUAL_SAMPLES
+from surffollow.forecast.quantities import LONG_GAP_NS
 from surffollow.shm.jit import jit
 
 
@@ -22,9 +22,3 @@ def update_clock(clock, t_ns, pose_t_ns):
     jumped = t < clock.now_ns - LONG_GAP_NS
     clock.now_ns = t if jumped else max(clock.now_ns, t)
     return jumped
-
-
-@jit
-def follow_usual(usual, value):
-    """Usual value after one more; it is the first one while it is 0, not known."""
-    return usual + (value - usual) / USUAL_SAMPLES if usual != 0.0 else value

@@ -13,19 +13,12 @@ from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 LEFT_OUT_NS = 500_000_000  # a beam of a plane that is not used for so long: an edge leaves out one for less
-DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
-
-
-@jit
-def tolerated_gap_s(interval_s, least_ns):
-    """Time without a sample at this usual interval that is no drop-out [s]; of a quick sensor the least."""
-    return max(least_ns * 1e-9, min(DROPOUT_INTERVALS * interval_s, quantities.LONG_GAP_NS * 1e-9))
 
 
 @jit
 def dropout_tolerance_s(prediction):
     """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
-    return tolerated_gap_s(prediction.interval_s, quantities.MAX_GAP_NS)
+    return quantities.tolerated_gap_s(prediction.interval_s, quantities.MAX_GAP_NS)
 
 
 @jit
@@ -75,13 +68,14 @@ def observe_channels(params, health, sense, now_ns):
     silent = 0
     for c in range(params.n_channels):
         gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
+        tolerated_ns = quantities.tolerated_gap_s(1e-9 * usual_ns, quantities.MAX_GAP_NS) * 1e9
         if sense.fresh[c] != 0:
             if usual_ns != 0:
                 health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // quantities.USUAL_SAMPLES
             elif health.reading_ns[c] != 0:
                 health.interval_ns[c] = gap_ns
             health.reading_ns[c] = now_ns
-        elif params.n_channels > 1 and gap_ns > tolerated_gap_s(1e-9 * usual_ns, quantities.MAX_GAP_NS) * 1e9:
+        elif params.n_channels > 1 and gap_ns > tolerated_ns:
             silent |= 1 << c
     return silent
 

@@ -2,9 +2,8 @@
 
 import math
 
-from surffollow.forecast.pose import newest_pose, pose_at
-from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS
-from surffollow.forecast.sensing.clock import follow_usual
+from surffollow.forecast.pose import newest_pose, newest_until, pose_at
+from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS, follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import POSES
 
@@ -21,13 +20,8 @@ def oldest_pose_within(sense, window_ns, first_ns):
     Reports from before a long gap, or before the time `first_ns`, do not count; the newest one may be
     the only one.
     """
-    k, oldest = sense.pose_count - 1, max(0, sense.pose_count - POSES)
     t = sense.pose_t_ns[newest_pose(sense)]
-    while k > oldest:
-        at_ns = sense.pose_t_ns[k & (POSES - 1)]
-        if at_ns == first_ns or at_ns <= t - window_ns:
-            break
-        k -= 1
+    k = newest_until(sense.pose_t_ns, sense.pose_count, max(t - window_ns, first_ns))
     return k + 1 if t - sense.pose_t_ns[k & (POSES - 1)] > LONG_GAP_NS else k
 
 

@@ -8,7 +8,7 @@ used: there climb rate and terrain are correlated.
 
 import math
 
-from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.pose import newest_pose, pose_at
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, FULL_POWER_SAMPLES, USUAL_SAMPLES
@@ -70,12 +70,12 @@ def update_correction(params, adaptive):
     if adapts(params) and n >= 3 * USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
         delta_s = latency.climb_height / latency.climb_climb
         residual = math.sqrt(max(latency.height_height - delta_s * latency.climb_height, 0.0) / n)
-        noise = max(adaptive.noise.sigma_m, MIN_NOISE_M)
+        noise_m = assumed_noise_m(adaptive.noise)
         # noise is left, or little of the change of height; otherwise the ground moved, or was not one spot
         left_m2 = n * residual * residual
         explained = left_m2 < latency.step_step or left_m2 < 0.1 * latency.height_height
-        if abs(delta_s) < MAX_LATENCY_S and residual < 3.0 * noise + 0.5e-3 and explained:
-            var = max(residual, noise) ** 2 / latency.climb_climb
+        if abs(delta_s) < MAX_LATENCY_S and residual < 3.0 * noise_m + 0.5e-3 and explained:
+            var = max(residual, noise_m) ** 2 / latency.climb_climb
             prior = 0.03**2  # variance of the latency before a rest [s²]
             corrected_s = latency.correction_s + prior / (prior + var) * delta_s
             latency.correction_s = min(max(corrected_s, -MAX_LATENCY_S), MAX_LATENCY_S)

@@ -10,8 +10,8 @@ from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_res
 from surffollow.forecast.estimation import estimate, innovation_gate
 from surffollow.forecast.modes import adapts, orients
 from surffollow.forecast.pose import footprint, newest_pose
+from surffollow.forecast.quantities import follow_usual
 from surffollow.forecast.sensing import (
-    clock,
     descent,
     health,
     kinematics,
@@ -164,11 +164,11 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
     if known and innovation_gate.is_slow(adaptive) and not spans_jump(adaptive):
         travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
-    sample.spacing_m = clock.follow_usual(sample.spacing_m, travel)
+    sample.spacing_m = follow_usual(sample.spacing_m, travel)
     sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, adaptive.estimate.arc_length_m + travel
     if not kinematics.is_at_rest(motion):
         lead_m = footprint_lead(adaptive, pose[0], pose[1])
-        sample.lead_m = clock.follow_usual(sample.lead_m if known else 0.0, lead_m)
+        sample.lead_m = follow_usual(sample.lead_m if known else 0.0, lead_m)
     return travel
 
 

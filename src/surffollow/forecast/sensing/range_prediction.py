@@ -12,7 +12,7 @@ Over a slope, where the range returns to no mean, it is 0.
 
 import math
 
-from surffollow.forecast.sensing.clock import follow_usual
+from surffollow.forecast.quantities import follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 
 

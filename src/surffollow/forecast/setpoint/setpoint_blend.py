@@ -7,7 +7,6 @@ from surffollow.forecast.estimation import innovation_gate, model_bank, model_we
 from surffollow.forecast.estimation.adaptation import permitted_variance_m
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
-from surffollow.forecast.sensing.health import tolerated_gap_s
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
@@ -19,7 +18,7 @@ from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 def dropout_s(adaptive):
     """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
     since_s = (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9 - adaptive.latency.delay_s
-    return since_s - tolerated_gap_s(adaptive.prediction.interval_s, quantities.MISSING_NS)
+    return since_s - quantities.tolerated_gap_s(adaptive.prediction.interval_s, quantities.MISSING_NS)
 
 
 @jit_inlined
@@ -174,7 +173,7 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
     if estimate.accepted_ns < kinematics.jump_ns <= adaptive.clock.now_ns:
         return tool_z_m  # heights are in the frame before the jump
-    few = estimate.samples < quantities.USUAL_SAMPLES and dropout_s(adaptive) > 0.0
+    few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     no_descent = tool_z_m if hardly_known else -math.inf
     lowest, highest = setpoint_range(params, adaptive.response, standoff_m)

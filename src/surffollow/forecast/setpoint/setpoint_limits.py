@@ -9,7 +9,7 @@ ground, which may be a slot.
 
 import math
 
-from surffollow.forecast.quantities import MAX_GAP_NS, PAUSE_NS, USUAL_SAMPLES
+from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, PAUSE_NS
 from surffollow.shm.jit import jit, jit_inlined
 
 
@@ -135,7 +135,7 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     setpoint.velocity_mps += setpoint.acceleration_mps2 * dt_s
     setpoint.position_m += setpoint.velocity_mps * dt_s
     # on its target but for rounding
-    if abs(target_m - setpoint.position_m) < 1e-5 and adaptive.estimate.samples >= USUAL_SAMPLES:
+    if abs(target_m - setpoint.position_m) < 1e-5 and adaptive.estimate.samples >= CONFIRMED_SAMPLES:
         setpoint.approaching = 0
 
 

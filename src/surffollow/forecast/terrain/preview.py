@@ -2,7 +2,8 @@
 
 import math
 
-from surffollow.forecast.estimation import model_bank, model_weights, noise
+from surffollow.forecast.estimation import model_bank, model_weights
+from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant.axis_model import MAX_MODEL_ERROR_M, PERIOD_S
 from surffollow.forecast.quantities import USUAL_SAMPLES
@@ -59,7 +60,7 @@ def extrapolate_ground(adaptive, known, ahead_m):
     ground = preview.ground_m
     last, end_m = ground[known - 1], ahead_m + step * (known - 1)
     before = bank_rise(adaptive, end_m)
-    noise_m2 = max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2
+    noise_m2 = assumed_noise_m(adaptive.noise) ** 2
     reversion = 1.5 * preview.error_m2 / (preview.error_m2 + preview.offset_m2 + noise_m2)
     for k in range(known, HORIZON):
         x = step * (k + 1 - known)

@@ -14,8 +14,6 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, POSES
 
-FOR_SAMPLE, FOR_PERIOD = 1, 2  # bits: uses of a preview
-
 
 @jit
 def has_reading(params, adaptive, inputs):
@@ -33,7 +31,7 @@ def has_reading(params, adaptive, inputs):
 
 @jit
 def preview_uses(params, adaptive, inputs, now_ns):
-    """Uses of a preview in the coming cycle: FOR_SAMPLE, FOR_PERIOD, both or 0.
+    """Whether the coming cycle uses a preview for a sample, and for a controller period.
 
     Parameters
     ----------
@@ -47,17 +45,17 @@ def preview_uses(params, adaptive, inputs, now_ns):
     sensor that leads measures newer ground than the map. Neither uses a preview of the map.
     """
     if params.mode != MODE_ADAPTIVE or params.preview == 0 or adaptive.estimate.samples == 0:
-        return 0
+        return False, False
     leads = known_ground.known_source(adaptive) == 0  # it measures newer ground than the map
     if orients(params) or leads or kinematics.is_at_rest(adaptive.kinematics):
-        return 0
-    due = FOR_PERIOD if controller_clock.period_is_due(adaptive, inputs, now_ns) else 0
-    return due | FOR_SAMPLE if has_reading(params, adaptive, inputs) else due
+        return False, False
+    is_due = controller_clock.period_is_due(adaptive, inputs, now_ns)
+    return has_reading(params, adaptive, inputs), is_due
 
 
 @jit
 def preview_window(params, state, inputs):
-    """Uses of a preview in the coming cycle, and the piece of the path that it must cover.
+    """Whether the coming cycle uses a preview, and the piece of the path that it must cover.
 
     Parameters
     ----------
@@ -66,8 +64,8 @@ def preview_window(params, state, inputs):
     Returns
     -------
     due, x_m, y_m, direction_x, direction_y, first_m, last_m
-        FOR_ bits (with 0 the rest is undefined); point under the tool at the newest pose of the coming cycle;
-        unit vector of travel; piece of the path ahead of that point [m]
+        whether it uses one (else the rest is undefined); point under the tool at the newest pose of the
+        coming cycle; unit vector of travel; piece of the path ahead of that point [m]
     """
     d, adaptive, sense, i = state[0].scaled, state[0].adaptive, state[0].sense, inputs[0]
     motion, sample = adaptive.kinematics, adaptive.sample
@@ -79,18 +77,18 @@ def preview_window(params, state, inputs):
     p = params[0] if is_unscaled(d) else d.params
     t_ns, pose_t_ns = dimensionless_time(d, i.t_ns), dimensionless_time(d, pose_t_ns)
     now_ns = max(adaptive.clock.now_ns, t_ns, pose_t_ns)
-    due = preview_uses(p, adaptive, i, now_ns)
-    if due == 0 or t_ns - pose_t_ns > p.pose_timeout_ns:
-        return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for_sample, for_period = preview_uses(p, adaptive, i, now_ns)
+    if not (for_sample or for_period) or t_ns - pose_t_ns > p.pose_timeout_ns:
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     v = motion.speed_mps
     margin = v * axis_model.PERIOD_S + known_ground.REGISTRATION_M
     here = v * (now_ns - pose_t_ns) * 1e-9
     at = here - v * adaptive.latency.delay_s + sample.lead_m  # the sample
     first, last = here, here + v * axis_model.PERIOD_S * HORIZON
-    if due == FOR_SAMPLE:
+    if not for_period:
         first = last = at
-    elif due & FOR_SAMPLE != 0:
+    elif for_sample:
         first = min(first, at)
     x, y = x + sample.tip_x_m * d.length, y + sample.tip_y_m * d.length
     ux, uy = motion.velocity_x_mps / v, motion.velocity_y_mps / v
-    return due, x, y, ux, uy, (first - margin) * d.length, (last + margin) * d.length
+    return True, x, y, ux, uy, (first - margin) * d.length, (last + margin) * d.length

@@ -17,15 +17,13 @@ from surffollow.forecast.terrain.preview_schedule import preview_window
 from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_estimation import MemoryCell
+from surffollow.shm.layout_adaptive_estimation import MEMORY_CELLS, MemoryCell
 from surffollow.shm.layout_follow import MAX_PREVIEW
-
-CELLS = 1 << 16  # number of cells
 
 
 def new_memory() -> NDArray[Any]:
     """Empty memory."""
-    return zeros(MemoryCell, CELLS)
+    return zeros(MemoryCell, MEMORY_CELLS)
 
 
 @jit
@@ -37,7 +35,7 @@ def cell_index(x_m):
 @jit
 def cell_at(memory, ix, iy):
     """Entry of a cell; the stride of the rows is odd, and rows side by side are far apart."""
-    return memory[(ix + iy * 40503) & (CELLS - 1)]
+    return memory[(ix + iy * 40503) & (MEMORY_CELLS - 1)]
 
 
 @jit
@@ -46,7 +44,7 @@ def store_height(memory, x_m, y_m, height_m, t_ns):
 
     Parameters
     ----------
-    memory : (CELLS,) records of `MemoryCell`  updated
+    memory : (MEMORY_CELLS,) records of `MemoryCell`  updated
     x_m, y_m, height_m : float64  world frame [m]; a height that is not finite is ignored
     t_ns : int64                  time of the height [ns]
     """
@@ -70,7 +68,7 @@ def read_height(memory, x_m, y_m, before_ns):
 
     Parameters
     ----------
-    memory : (CELLS,) records of `MemoryCell`
+    memory : (MEMORY_CELLS,) records of `MemoryCell`
     x_m, y_m : float64  the point, world frame [m]
     before_ns : int64   only heights stored before this time [ns] count
     """
@@ -93,7 +91,7 @@ def read_preview(memory, params, state, inputs):
 
     Parameters
     ----------
-    memory : (CELLS,) records of `MemoryCell`
+    memory : (MEMORY_CELLS,) records of `MemoryCell`
     params, state : (1,) records of `Params`, `FollowState`
     inputs : (1,) records of `Inputs`      n_preview, preview_from_m, preview_step_m, preview_m are set
 
@@ -104,7 +102,7 @@ def read_preview(memory, params, state, inputs):
     i, d = inputs[0], state[0].scaled
     i.n_preview = 0
     due, x, y, ux, uy, first, last = preview_window(params, state, inputs)
-    if due == 0:
+    if not due:
         return
     i.preview_from_m = first
     i.preview_step_m = max(CELL_M * d.length, (last - first) / (MAX_PREVIEW - 1))
