@@ -16,6 +16,7 @@ from surffollow.shm.layout_adaptive import REASON_DESCENT, REASON_NAMES, Adaptiv
 from surffollow.shm.layout_follow import STOP_DESCENT, STOPPED, VALID
 
 from .feeding import default_params
+from .job_loop import Job, follow
 from .response_loop import MS, closed_loop, noisy, standard
 
 REASON = REASON_NAMES[REASON_DESCENT]
@@ -73,6 +74,16 @@ def test_a_long_fall_is_followed_although_its_ranges_are_long(interval_ms):
     assert not any(s["health"] == "STUCK" for s in states)
     assert heights.max() < 1.2 * STANDOFF_M
     assert np.mean(np.array(phases) != 0) < 0.1
+
+
+def test_a_steady_long_fall_is_suspected_for_a_few_standoffs_only():
+    """GIVEN ten readings a second WHEN a drone follows a fall of 27 % THEN the suspicion ends."""
+    job = Job(2.0, 0.3, 0.1, 0.05, 2.0, 4.0, 0.004, (0.2, 6.0))
+    run = follow(job, lambda x, _t: -0.27 * x, 60.0, speed_mps=3.0)
+    suspected = [s["reason"] == REASON for s in run.states]
+    assert np.mean(suspected) < 0.15
+    assert not any(suspected[len(suspected) // 2 :])
+    assert run.clearance_m.min() > 0.9 * job.standoff_m
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -159,6 +170,8 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
         fall = top - min(heights)
         if z - min(heights) > min(fall, max(4.0 * band, 0.1 * fall)):
             floor, top, kept, reach = min(floor, *heights), z, [], 0.1 * STANDOFF_M
+        elif fall > STANDOFF_M:
+            floor, top, kept, reach = min(floor, *heights), z, [], 2.0 * reach
         kept.append((z, r))
         error, fall = 0.0, top - z
         for n, (_, x) in enumerate(kept, start=1):

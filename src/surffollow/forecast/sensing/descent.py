@@ -46,8 +46,8 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
         e > 0.02 s₀, Δz > 3 e, e Δz > 0.36 B s₀, Δz > 0.2 d, Δz > L
 
     It is to be tested L below the lowest height before, if B < 0.1 s₀ and Δz > 2 m d, and the test ends it.
-    L is 0.1 s₀, and twice as much behind each test that the range answers, until the tool rises. With fewer
-    than eight samples in τ the tool would lag too far behind falling ground in a test.
+    L is 0.1 s₀, and twice as much behind each test that the range answers and each fall of s₀, until the tool
+    rises. With fewer than eight samples in τ the tool would lag too far behind falling ground in a test.
 
     Parameters
     ----------
@@ -74,6 +74,8 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     fall_m, rise_m = descent.top_z_m - descent.low_z_m, tool_z_m - descent.low_z_m
     if rise_m > min(fall_m, max(MOTION_BANDS * band, RETURN_SHARE * fall_m)):
         begin_descent(adaptive, tool_z_m, share_m)
+    elif fall_m > params.offset_m:  # over ground that stays the tool would have touched it
+        begin_descent(adaptive, tool_z_m, 2.0 * descent.reach_m)
     descent.low_z_m = min(descent.low_z_m, tool_z_m)
     descent.samples += 1
     newest = min(float(descent.samples), ERROR_MEANS * number)
