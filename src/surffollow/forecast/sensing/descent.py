@@ -45,7 +45,8 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
 
         e > 0.02 s₀, Δz > 3 e, e Δz > 0.36 B s₀, Δz > 0.2 d, Δz > L
 
-    It is to be tested L below the lowest height before, if B < 0.1 s₀ and Δz > 2 m d, and the test ends it.
+    It is to be tested L below the lowest height before, if B < 0.1 s₀ and Δz > 2 m d, unless the tool comes
+    back from another test. The test ends it.
     L is 0.1 s₀, and twice as much behind each test that the range answers and each fall of s₀, until the tool
     rises. With fewer than eight samples in τ the tool would lag too far behind falling ground in a test.
 
@@ -92,7 +93,8 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     steeper = fall_m > STEEPER * descent.slope * descent.travel_m
     deep = tool_z_m < descent.floor_z_m - descent.reach_m
     answers = number >= MAX_READINGS and spread_m < share_m  # soon, and greater than the spread
-    if descent.unexplained and steeper and deep and answers and adaptive.response.phase == RESPONSE_RUN:
+    idle = adaptive.response.phase == RESPONSE_RUN and t_ns >= adaptive.response.settled_ns
+    if descent.unexplained and steeper and deep and answers and idle:
         descent.tested_m, descent.reach_m = spread_m, 2.0 * descent.reach_m
 
 
