@@ -67,7 +67,7 @@ def update_correction(params, adaptive):
     latency = adaptive.latency
     n = latency.count
     # deviations of the climb rate below 15 mm/s RMS identify nothing
-    if adapts(params) and n >= 3 * USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
+    if adapts(params, adaptive) and n >= 3 * USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
         delta_s = latency.climb_height / latency.climb_climb
         residual = math.sqrt(max(latency.height_height - delta_s * latency.climb_height, 0.0) / n)
         noise_m = assumed_noise_m(adaptive.noise)

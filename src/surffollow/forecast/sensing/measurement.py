@@ -69,7 +69,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
         ahead = footprint_lead(adaptive, sense.pose[newest], sense.pose[newest + 1])
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
-    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapts(params))
+    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapts(params, adaptive))
     sample.arc_length_m = adaptive.estimate.arc_length_m  # an initialisation advances it farther
     if not entered:
         return
