@@ -41,9 +41,11 @@ class Hold(Schema):
 class Latency(Schema):
     """Delay of samples, and the identified error of the configured latency (`latency_identification`)."""
 
-    known = I64(doc="1: delays are known")
+    known = I64(doc="delays that are known, at most those of a slow mean")
     delay_s = F64(unit="s", doc="usual delay: arrival − timestamp")
     least_s = F64(unit="s", doc="least delay, which grows slowly")
+    mean_s = F64(unit="s", doc="slow mean of the delay by the timestamps, without correction")
+    first_s = F64(unit="s", doc="least of these means: the delay before a clock fell behind")
     correction_s = F64(unit="s", doc="age of ranges beyond the configured latency, as identified")
     configured_ns = I64(unit="ns", doc="sensor_latency_ns that the correction belongs to")
     count = I64(doc="samples of the present rest")

@@ -127,10 +127,11 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     """
     update_prediction(params, adaptive.prediction, t_ns, range_m)
     record_sample(adaptive.hold, t_ns, range_m)
+    stamped_s = (adaptive.clock.now_ns - t_ns) * 1e-9
     if not orients(params):  # beams have timestamps of their own, without correction
         t_ns -= int(adaptive.latency.correction_s * 1e9)
-    delay_s = (adaptive.clock.now_ns - t_ns) * 1e-9
-    latency_identification.update_delay(adaptive.latency, delay_s, adaptive.prediction.interval_s)
+    delay_s, interval_s = (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.prediction.interval_s
+    latency_identification.update_delay(adaptive.latency, delay_s, stamped_s, interval_s)
     kinematics.predict_pose(adaptive.kinematics, sense, t_ns, pose)
     was_stuck = response.is_unresponsive(adaptive.response)
     gap_s = health.dropout_tolerance_s(adaptive.prediction)
