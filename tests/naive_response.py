@@ -83,7 +83,7 @@ class NaiveResponse:
         self.last_ns = t_ns
         self._count_repeats(range_m, z_m)
         self.number = min(max(self.tau_s / self.interval_s, r.MIN_READINGS), r.MAX_READINGS)
-        most_m = r.BAND_SIGMAS * self.sigma_m
+        most_m = max(r.BAND_SIGMAS * self.sigma_m, r.SWINGS[0] * self.swing_m)
         step_m = range_m - self.mean_m
         deviation_m = min(abs(step_m), most_m)
         self.mean_m += math.copysign(deviation_m, step_m) / self.number
@@ -107,7 +107,7 @@ class NaiveResponse:
             if not begins and (self.phase != RUN or self.lift_m > 0.0):
                 back_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s
                 self.settled_ns = t_ns + int(1e9 * back_s)
-            if begins or abs(range_m - self.mean_m) > most_m:
+            if begins or abs(range_m - self.mean_m) > r.BAND_SIGMAS * self.sigma_m:
                 self.mean_m = range_m
             self._begin_run(z_m)
         elif self.phase == RUN and self.descent_m is not None:
@@ -153,12 +153,20 @@ class NaiveResponse:
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > self.answer_s
         self.rose, self.because_repeated = rises, repeats and not (wrong or quiet)
         if rises and unanswered:
-            self.lead_before_m = self._lead_m(z_m) - self.lift_m
-            self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
-            self.lift_m += r.MOTION_BANDS * self.band_m + self.tau_s * rate_mps
-            self.misses_m = self.lift_m
+            self._lift(t_ns, z_m, self.lift_m + r.MOTION_BANDS * self.band_m + self.tau_s * rate_mps)
         elif not rises and (unanswered or suspicious or far):
             self.phase, self.begin_ns, self.begin_z_m, self.lift_m = HOLD, t_ns, z_m, 0.0
+
+    def _lift(self, t_ns: int, z_m: float, lift_m: float) -> None:
+        self.lead_before_m = self._lead_m(z_m) - self.lift_m
+        self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
+        self.lift_m = self.misses_m = lift_m
+        sees_m = self.far_m - self.run_m
+        sees_m = sees_m - 0.5 * self.standoff_m if sees_m > self.standoff_m else sees_m / 2.0
+        sees_m += self.low_z_m if self.rose else self.top_z_m
+        rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps) if self.rates_mps else 0.0
+        needs_m = z_m + lift_m + rate_mps * self.answer_s
+        self.highest_m = max(needs_m, min(sees_m, z_m + 3.0 * self.standoff_m))
 
     def _lead_m(self, z_m: float) -> float:
         return self.setpoint_m - z_m - self.climb_mps * (self.tau_s + self.delay_s)
@@ -171,12 +179,15 @@ class NaiveResponse:
         if late_s <= 0.0 or (self.rose and late_s <= longest_s):
             return
         if self.phase == HOLD:
-            self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
-            self.lift_m = max(r.MOTION_BANDS * self.band_m, r.SWINGS[1] * self.swing_m)
+            self._lift(t_ns, z_m, max(r.MOTION_BANDS * self.band_m, r.SWINGS[1] * self.swing_m))
             return
-        missing_m = self.misses_m if self.rose else self.begin_z_m + self.lift_m - z_m
+        missing_m = self.misses_m if self.rose else max(self.begin_z_m + self.lift_m - z_m, self._lead_m(z_m))
         self.because_repeated = self.is_repeated
-        obeyed = missing_m < (0.65 if self.rose else 0.5) * self.lift_m
+        allowed_m = (0.65 if self.rose else 0.5) * self.lift_m
+        obeyed = missing_m < allowed_m
+        if self.rose and z_m > self.highest_m - allowed_m:
+            stands = abs(self.climb_mps) < 0.5 * math.fsum(self.rates_mps) / len(self.rates_mps)
+            obeyed = stands and z_m < self.highest_m + allowed_m
         if self.because_repeated or (self.applied and obeyed):
             self.phase = NONE
         elif late_s > longest_s:
@@ -186,10 +197,8 @@ class NaiveResponse:
         """The target, shifted up in a long run or in the test of an ascent, or what a test asks for."""
         if self.phase == RUN:
             return target_m + self.lift_m
-        rise_m = max(min(3.0 * self.standoff_m, self.far_m - self.standoff_m), self.lift_m)
-        highest_m = self.begin_z_m + rise_m
         if self.phase == NONE:
-            return min(target_m, highest_m) if self.rose else target_m
-        if self.rose:
-            return min(max(target_m + self.lift_m, self.begin_z_m), highest_m)
-        return max(target_m, self.begin_z_m + self.lift_m)
+            return min(target_m + 2.0 * self.lift_m, self.highest_m)
+        lowest_m = self.begin_z_m if self.rose else self.begin_z_m + self.lift_m
+        highest_m = self.highest_m if self.phase == LIFT else math.inf
+        return min(max(target_m + self.lift_m, lowest_m), highest_m)

@@ -51,11 +51,14 @@ def follow(
     misread: Callable[[float, float, np.random.Generator], float] | None = None,
     seed: int = 1,
     latest_s: float = 0.0,
+    live: tuple[float, dict] | None = None,
+    drift: float = 0.0,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
     `misread(t, range, generator)` gives the reading in place of a range [m]. Each reading arrives up to
     `latest_s` after its time, at random; readings may overtake each other. The first tenth is left out.
+    `live`: parameters that are set at a time [s]. `drift`: rate by which the sensor's clock is fast.
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
@@ -69,6 +72,8 @@ def follow(
         t = ms * dt
         x, t_ns = speed_mps * t, 10**9 + ms * 1_000_000
         ground = ground_m(x, t)
+        if live is not None and ms == round(1e3 * live[0]):
+            f.set_params(**live[1])
         if ms % pose_ms == 0:
             f.pose(t_ns, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
             z_plain = z
@@ -76,7 +81,8 @@ def follow(
             r = z - ground + job.sigma_m * float(rng.standard_normal())
             r = misread(t, r, rng) if misread else r
             r = r if near_m < r < far_m else math.nan
-            coming.append((ms + round(1e3 * latest_s * float(rng.random())) if latest_s else ms, t_ns, r))
+            stamp_ns = t_ns + round(drift * ms * 1_000_000)
+            coming.append((ms + round(1e3 * latest_s * float(rng.random())) if latest_s else ms, stamp_ns, r))
         for arrival in [a for a in coming if a[0] <= ms]:
             coming.remove(arrival)
             f.step(arrival[1], [arrival[2]])

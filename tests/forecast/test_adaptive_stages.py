@@ -527,7 +527,8 @@ def test_one_late_sample_among_those_without_a_delay_is_not_the_usual_one(delay_
     params, a, late = default_params(), zeros(AdaptiveState)[0], 0
     a["plant"]["tau_s"], a["prediction"]["interval_s"] = 0.04, 0.004
     for k in range(200):
-        update_delay(a["latency"], 0.3 if k == 100 else delay_s, 0.004)
+        found_s = 0.3 if k == 100 else delay_s
+        update_delay(a["latency"], found_s, found_s, 0.004)
         late += is_late(params, a)
     assert late == 0
 

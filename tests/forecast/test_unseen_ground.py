@@ -31,6 +31,7 @@ def sensor_in(phase):
         SAMPLES,
     )
     a["response"]["top_z_m"] = a["setpoint"]["position_m"] = 0.1
+    a["response"]["ceiling_z_m"] = 1.0
     a["setpoint"]["t_ns"] = 1
     return a
 
@@ -45,14 +46,22 @@ def test_what_the_tool_climbs_is_not_lost(climb_m):
     a = sensor_in(RESPONSE_LIFT)
     a["setpoint"]["position_m"] += climb_m
     risen_m = SLOPE_BEFORE * SPEED_MPS * SAMPLES * INTERVAL_S
-    assert uncertain_clearance(a) == pytest.approx(risen_m - climb_m)
+    assert uncertain_clearance(a, False) == pytest.approx(risen_m - climb_m)
 
 
 def test_without_a_test_and_under_a_slow_sensor_nothing_is_uncertain():
-    assert uncertain_clearance(sensor_in(RESPONSE_RUN)) == 0.0
+    assert uncertain_clearance(sensor_in(RESPONSE_RUN), False) == 0.0
     slow = sensor_in(RESPONSE_FAILED)
     slow["prediction"]["interval_s"] = 0.03
-    assert uncertain_clearance(slow) == 0.0
+    assert uncertain_clearance(slow, False) == 0.0
+
+
+@pytest.mark.parametrize("interval_s", [INTERVAL_S, 0.03], ids=["quick", "slow"])
+def test_in_silence_the_ground_may_have_risen_since_the_newest_sample(interval_s):
+    a = sensor_in(RESPONSE_RUN)
+    a["prediction"]["interval_s"], a["blend"]["tracked_m"] = interval_s, 0.11
+    a["clock"]["now_ns"], a["hold"]["t_ns"] = 5 * 10**9, 4 * 10**9
+    assert uncertain_clearance(a, True) == pytest.approx(0.01 + SLOPE_RMS * SPEED_MPS)
 
 
 def test_an_edge_of_known_ground_is_no_rate_that_an_axis_follows():

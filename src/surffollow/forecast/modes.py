@@ -1,5 +1,6 @@
 """Modes of the default follower that the parameters give."""
 
+from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import RUN_FREEZE
 
@@ -11,6 +12,12 @@ def orients(params):
 
 
 @jit_inlined
-def adapts(params):
-    """Whether index, weights, noise and errors of predictions are adapted: not frozen, and not in FREEZE."""
-    return params.adapt != 0 and params.run != RUN_FREEZE
+def learns(params, adaptive):
+    """Whether the follower learns: it is not frozen, or has not learned enough to be."""
+    return params.adapt != 0 or adaptive.weights.scored < FULL_POWER_SAMPLES
+
+
+@jit_inlined
+def adapts(params, adaptive):
+    """Whether index, weights, noise and errors of predictions are adapted: it learns, not in FREEZE."""
+    return learns(params, adaptive) and params.run != RUN_FREEZE

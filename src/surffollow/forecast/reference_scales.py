@@ -154,6 +154,7 @@ def scale_sense(d, sense, n_channels):
         scaled.window_t_ns[k] = dimensionless_time(d, sense.window_t_ns[k])
     for c in range(layout.CHANNELS):
         scaled.window_n[c], scaled.fresh[c] = sense.window_n[c], sense.fresh[c]
+        scaled.losses[c] = sense.losses[c]
         scaled.valid[c], scaled.range_m[c] = sense.valid[c], sense.range_m[c] * per_m
         scaled.range_t_ns[c] = dimensionless_time(d, sense.range_t_ns[c])
 

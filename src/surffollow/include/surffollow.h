@@ -445,7 +445,7 @@ typedef struct sf_params {
   double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
   double permitted_turn_rad; /* [rad] adaptive: deadband of the attitude setpoint */
   double deadband_share; /* adaptive: share of Permitted_Variance that is the setpoint's deadband */
-  int64_t adapt; /* adaptive: 1: adapt; 0: index, weights, noise and errors of predictions are frozen */
+  int64_t adapt; /* adaptive: 1: adapt; 0: index, weights, noise, prediction errors freeze at 500 samples */
   int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
   double dropout_travel_m; /* [m] adaptive: travel without readings over which the slope decays */
   double max_speed_mps; /* [m/s] adaptive: limit of the setpoint's speed */

@@ -109,6 +109,8 @@ class Setpoint(Schema):
     approaching = I64(doc="1: it began at the tool and has not arrived yet")
     interval_s = F64(unit="s", doc="usual interval of calls, an upper estimate; 0: not known")
     min_interval_s = F64(unit="s", doc="shortest interval lately; 0: not known")
+    max_accel_mps2 = F64(unit="m/s^2", doc="limit of its acceleration then")
+    max_jerk_mps3 = F64(unit="m/s^3", doc="limit of its jerk then; 0: not known")
 
 
 class Preview(Schema):

@@ -41,9 +41,11 @@ class Hold(Schema):
 class Latency(Schema):
     """Delay of samples, and the identified error of the configured latency (`latency_identification`)."""
 
-    known = I64(doc="1: delays are known")
+    known = I64(doc="delays that are known, at most those of a slow mean")
     delay_s = F64(unit="s", doc="usual delay: arrival − timestamp")
     least_s = F64(unit="s", doc="least delay, which grows slowly")
+    mean_s = F64(unit="s", doc="slow mean of the delay by the timestamps, without correction")
+    first_s = F64(unit="s", doc="least of these means: the delay before a clock fell behind")
     correction_s = F64(unit="s", doc="age of ranges beyond the configured latency, as identified")
     configured_ns = I64(unit="ns", doc="sensor_latency_ns that the correction belongs to")
     count = I64(doc="samples of the present rest")
@@ -80,6 +82,9 @@ class Health(Schema):
     candidate = I64(doc="state without hysteresis")
     faults = I64(doc="bits of FAULT_NAMES, latched until the reset")
     forget = I64(doc="fault for which the follower begins without knowledge behind this cycle; 0: none")
+    unseen = I64(doc="1: in silence the ground may have come near unseen")
+    losses = I64(doc="losses of channel 0 as counted in the cycle before")
+    outside = I64(doc="readings of channel 0 outside the window since the last one inside it")
     close_count = I64(doc="samples in a row nearer than too_close_m")
     reading_ns = I64(BEAMS, unit="ns", doc="arrival of the newest reading per channel; 0: none yet")
     interval_ns = I64(BEAMS, unit="ns", doc="usual interval of these; 0: not known")
@@ -109,6 +114,7 @@ class Response(Schema):
     lead_m = F64(unit="m", doc="excess lead of the unshifted setpoint when the lift began")
     missing_m = F64(unit="m", doc="by which the tool misses a lift; of an ascent, a running mean")
     test_z_m = F64(unit="m", doc="height of the tool when the phase of the test began")
+    ceiling_z_m = F64(unit="m", doc="greatest setpoint in a lift, and of a sensor that did not respond")
     test_ns = I64(unit="ns", doc="when phase or shift began")
     swing_m = F64(unit="m", doc="half the spread of the ranges in a descent that is tested; 0: another test")
     settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")

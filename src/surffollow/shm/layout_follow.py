@@ -109,7 +109,7 @@ class Params(Schema):
     max_turn_rad = F64(unit="rad", doc="adaptive: limit of the rotation demanded")
     permitted_turn_rad = F64(unit="rad", doc="adaptive: deadband of the attitude setpoint")
     deadband_share = F64(doc="adaptive: share of Permitted_Variance that is the setpoint's deadband")
-    adapt = I64(doc="adaptive: 1: adapt; 0: index, weights, noise and errors of predictions are frozen")
+    adapt = I64(doc="adaptive: 1: adapt; 0: index, weights, noise, prediction errors freeze at 500 samples")
     hold_ns = I64(unit="ns", doc="adaptive: an unchanged reading counts as new after so long")
     dropout_travel_m = F64(unit="m", doc="adaptive: travel without readings over which the slope decays")
     max_speed_mps = F64(unit="m/s", doc="adaptive: limit of the setpoint's speed")

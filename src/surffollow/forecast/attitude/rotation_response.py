@@ -16,7 +16,7 @@ from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import rotate, rotation_between, to_world
 from surffollow.forecast.sensing import response
 from surffollow.forecast.sensing.health import dropout_tolerance_s
-from surffollow.forecast.sensing.mean_range import RUN_SAMPLES, TEST_BAND_FACTOR
+from surffollow.forecast.sensing.mean_range import RUN_SAMPLES, TEST_BAND_FACTOR, is_suspicious
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 from surffollow.shm.layout_follow import RUN_NORMAL
@@ -102,7 +102,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
             run[0], run[1] = run[0] + part * (mean[0] - run[0]), run[1] + part * (mean[1] - run[1])
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
         deviation = math.hypot(run[0], run[1])
-        wrong = response.is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
+        wrong = is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
         far = turn > 0.3 * params.max_tilt_rad  # beyond, a constant deviation is always tested
         if rotation.samples * share > response.MIN_MEANS and turn > probe and (wrong or far):
             rotation.phase, rotation.samples, rotation.test_ns = ROTATION_TEST, 0, t_ns

@@ -8,6 +8,7 @@ errors are equal, and the configured time constant stays.
 import math
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.modes import learns
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose, newest_until
 from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
@@ -160,7 +161,7 @@ def update_plant(params, adaptive, sense, inputs):
     plant.axis_mps += 2.0 * e
     limit = params.plant_v_max_mps
     plant.axis_mps = min(max(plant.axis_mps, -limit), limit)
-    adapts = params.adapt != 0 and params.run == RUN_NORMAL
+    adapts = learns(params, adaptive) and params.run == RUN_NORMAL
     if not adapts or not least < axis_model.MAX_MODEL_ERROR_M:
         return
     for k in range(N_PLANTS):

@@ -42,17 +42,23 @@ def is_stuck(adaptive):
 
 
 @jit
+def is_uncertain(params, adaptive, silent):
+    """Whether so great a share of the stand-off may be lost unseen that no demand is valid."""
+    return uncertain_clearance(adaptive, silent) > 0.35 * params.offset_m
+
+
+@jit
 def is_lost(params, adaptive):
     """Whether no sample entered a confirmed estimate within the loss time-out.
 
     An estimate of a single sample is not confirmed. A sensor whose range did not respond, and that
-    falls silent, has nothing to continue from. Before that, ground that it did not see may have come near.
+    falls silent, has nothing to continue from. Before that, ground that it did not see may have come near; in
+    silence it stays so, also when the tool stops.
     """
     estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
     if estimate.samples == 0 or (stuck and silent):
         return True
-    # no demand is valid when more than this share of the stand-off may be lost unseen
-    if (stuck or silent) and uncertain_clearance(adaptive) > 0.35 * params.offset_m:
+    if adaptive.health.unseen != 0 or (stuck and is_uncertain(params, adaptive, silent)):
         return True
     # frames that jump more often than samples arrive: the tool would hold its height for ever
     held = adaptive.clock.now_ns - estimate.in_frame_ns > 2 * params.loss_timeout_ns
@@ -93,8 +99,21 @@ def beams_left_out(params, adaptive):
 
 
 @jit
+def count_outside(health, sense):
+    """Count readings of channel 0 outside the window since the last one inside it."""
+    lost = sense.losses[0] - health.losses
+    health.losses = sense.losses[0]
+    if sense.fresh[0] != 0:
+        health.outside = 0
+    elif lost == 1:  # more are of cycles without a pose
+        health.outside += 1
+
+
+@jit
 def is_outside(params, adaptive):
-    """Whether the last sample or the next one is within 3 mm of an end of the window."""
+    """Whether readings lie outside the window: several do, or the last sample or the next is within 3 mm."""
+    if adaptive.health.outside >= quantities.CONFIRMATION_SAMPLES:
+        return True
     hold, prediction = adaptive.hold, adaptive.prediction
     next_m = predict_range(prediction, prediction.interval_s)
     nearest_m, farthest_m = min(hold.range_m, next_m), max(hold.range_m, next_m)
@@ -118,7 +137,7 @@ def present_health(params, adaptive, stuck, lost, silent, left_out):
     samples, silent_bits = adaptive.estimate.samples, silent << layout.REASON_CHANNELS
     if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < quantities.USUAL_SAMPLES:
         return layout.FAULT, layout.REASON_NOT_FINITE
-    if stuck:
+    if stuck and not is_dropout(adaptive):
         return layout.STUCK, layout.REASON_STUCK
     if samples == 0 or is_dropout(adaptive):
         if samples > 0 and is_outside(params, adaptive):
@@ -157,7 +176,12 @@ def update_health(params, adaptive, sense, close):
     bool, bool  the range does not respond or repeats itself; there is no demand without other samples
     """
     health, now_ns = adaptive.health, adaptive.clock.now_ns
+    if not is_dropout(adaptive):
+        health.unseen = 0
+    elif is_uncertain(params, adaptive, True):
+        health.unseen = 1
     stuck, lost = is_stuck(adaptive), is_lost(params, adaptive)
+    count_outside(health, sense)
     silent, left_out = observe_channels(params, health, sense, now_ns), beams_left_out(params, adaptive)
     state, reason = present_health(params, adaptive, stuck, lost, silent, left_out)
     if state != health.candidate:

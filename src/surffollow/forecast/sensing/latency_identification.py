@@ -16,6 +16,9 @@ from surffollow.forecast.sensing import kinematics
 from surffollow.shm.jit import jit
 
 MAX_LATENCY_S = 0.1  # greater ones have to be configured
+MEAN_DELAYS = 250  # delays in a slow mean: as many as for 1 / SLOW_RATE
+# of the slow mean: the tool begins to swing; a constant error of so much is not noticed either
+MAX_DRIFT_TAUS = 0.5
 GLITCH_M = MAX_LATENCY_S * 0.08  # from the mean height: more than that latency explains at 80 mm/s
 
 
@@ -28,11 +31,22 @@ def reset_window(latency):
 
 
 @jit
-def update_delay(latency, delay_s, interval_s):
-    """Update the usual and the least delay with that of a sample, at the usual interval [s]."""
+def update_delay(latency, delay_s, stamped_s, interval_s):
+    """Update the usual and the least delay, and the slow mean, with a sample.
+
+    Parameters
+    ----------
+    latency : record of `Latency` (updated)
+    delay_s : float64     delay of the sample [s]
+    stamped_s : float64   delay by its timestamp, without the correction [s]
+    interval_s : float64  usual interval of samples [s]
+    """
     if latency.known == 0:  # 0 is a delay, too: in process a sample may have none
-        latency.known, latency.delay_s, latency.least_s = 1, delay_s, delay_s
-        return
+        latency.delay_s = latency.least_s = delay_s
+    latency.known += 1 if latency.known < MEAN_DELAYS else 0
+    latency.mean_s += (stamped_s - latency.mean_s) / latency.known
+    if latency.known < MEAN_DELAYS or latency.mean_s < latency.first_s:
+        latency.first_s = latency.mean_s
     latency.delay_s += (delay_s - latency.delay_s) / USUAL_SAMPLES
     least_s = min(latency.least_s, delay_s)
     # it grows within 20 s: clocks drift by 100 ppm
@@ -44,11 +58,13 @@ def is_late(params, adaptive):
     """Whether samples arrive later than they did: the delay grows, or the timestamps fall behind.
 
     The first means of a channel are of fewer ranges, and younger. Ground that is seen 2 τ late is behind the
-    tool, and the axis has moved since.
+    tool, and the axis has moved since. A clock that falls behind slowly makes the slow mean grow, which
+    scatters less and is compared with that of the first samples.
     """
-    latency = adaptive.latency
+    latency, tau_s = adaptive.latency, adaptive.plant.tau_s
     younger_s = 0.5 * (params.sensor_readings - 1) * adaptive.prediction.interval_s
-    return latency.delay_s - latency.least_s > 2.0 * adaptive.plant.tau_s + younger_s
+    grown_s, drifted_s = latency.delay_s - latency.least_s, latency.mean_s - latency.first_s
+    return grown_s > 2.0 * tau_s + younger_s or drifted_s > MAX_DRIFT_TAUS * tau_s + younger_s
 
 
 @jit
@@ -57,6 +73,7 @@ def check_configured_latency(params, latency):
     if latency.configured_ns == params.sensor_latency_ns:
         return False
     latency.configured_ns, latency.correction_s = params.sensor_latency_ns, 0.0
+    latency.known = 0  # delays are others
     reset_window(latency)
     return True
 
@@ -67,7 +84,7 @@ def update_correction(params, adaptive):
     latency = adaptive.latency
     n = latency.count
     # deviations of the climb rate below 15 mm/s RMS identify nothing
-    if adapts(params) and n >= 3 * USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
+    if adapts(params, adaptive) and n >= 3 * USUAL_SAMPLES and latency.climb_climb > n * 0.015**2:
         delta_s = latency.climb_height / latency.climb_climb
         residual = math.sqrt(max(latency.height_height - delta_s * latency.climb_height, 0.0) / n)
         noise_m = assumed_noise_m(adaptive.noise)

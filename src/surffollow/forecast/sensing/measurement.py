@@ -69,7 +69,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
         ahead = footprint_lead(adaptive, sense.pose[newest], sense.pose[newest + 1])
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
-    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapts(params))
+    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapts(params, adaptive))
     sample.arc_length_m = adaptive.estimate.arc_length_m  # an initialisation advances it farther
     if not entered:
         return
@@ -127,10 +127,11 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     """
     update_prediction(params, adaptive.prediction, t_ns, range_m)
     record_sample(adaptive.hold, t_ns, range_m)
+    stamped_s = (adaptive.clock.now_ns - t_ns) * 1e-9
     if not orients(params):  # beams have timestamps of their own, without correction
         t_ns -= int(adaptive.latency.correction_s * 1e9)
-    delay_s = (adaptive.clock.now_ns - t_ns) * 1e-9
-    latency_identification.update_delay(adaptive.latency, delay_s, adaptive.prediction.interval_s)
+    delay_s, interval_s = (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.prediction.interval_s
+    latency_identification.update_delay(adaptive.latency, delay_s, stamped_s, interval_s)
     kinematics.predict_pose(adaptive.kinematics, sense, t_ns, pose)
     was_stuck = response.is_unresponsive(adaptive.response)
     gap_s = health.dropout_tolerance_s(adaptive.prediction)

@@ -16,10 +16,13 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M
 from surffollow.forecast.sensing.mean_range import (
     BAND_SIGMAS,
+    ERROR_MOTION,
+    LAG_TAUS,
     MAX_READINGS,
     MIN_READINGS,
     RUN_SAMPLES,
     TEST_BAND_FACTOR,
+    is_suspicious,
     mean_band_m,
     mean_samples,
 )
@@ -34,13 +37,11 @@ from surffollow.shm.layout_adaptive_sensing import (
 )
 
 MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
-ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
-SHIFT_ERROR_MOTION = 0.06  # the same, from which the setpoint is shifted up …
+SHIFT_ERROR_MOTION = ERROR_MOTION / 6.0  # from which the setpoint is shifted up …
 SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off …
 MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
 SHIFT_BANDS = 2.0  # … by so many bands
 ASCENT_SHARE = 0.25  # of an ascent counts
-LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
 USUAL_SPREAD_SAMPLES = 256  # in that deviation
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
@@ -50,6 +51,8 @@ STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the de
 # of a lift: a tool that misses less has obeyed it. In an ascent the setpoint of one that does not obey stays
 # ahead by all of it
 OBEYED = (0.5, 0.65)
+MAX_RISE = 3.0  # stand-offs that a range without response may lead the tool up in a lift …
+MARGIN = 0.5  # … and of the stand-off, kept to the end of the window for uneven ground
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 
 
@@ -65,19 +68,32 @@ def _begin_run(params, adaptive, tool_z_m):
 
 
 @jit
-def _begin_phase(response, phase, t_ns, tool_z_m, lift_m):
-    """Begin a phase of the test at the tool's height.
+def _begin_phase(response, phase, t_ns, tool_z_m):
+    """Begin a phase of the test, RESPONSE_HOLD or RESPONSE_LIFT, at the tool's height, with a sample."""
+    response.phase, response.test_ns, response.test_z_m, response.lift_m = phase, t_ns, tool_z_m, 0.0
+
+
+@jit
+def _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m):
+    """Lift the setpoint by `lift_m`, no farther than the sensor sees the ground of when the run began.
+
+    The tool may climb in an answer as it did in the run.
 
     Parameters
     ----------
-    response : record of `Response` (updated)
-    phase : int         RESPONSE_HOLD or RESPONSE_LIFT
-    t_ns : int64        timestamp of the sample
-    tool_z_m : float64  height of the tool at that time [m]
-    lift_m : float64    by which the tool or its setpoint is lifted [m]
+    params, adaptive : records of `Params`, `AdaptiveState` (`response` updated)
+    t_ns, tool_z_m, number : as in `_update_run`
+    lift_m : float64  by which the setpoint is lifted [m]
     """
-    response.phase, response.test_ns, response.test_z_m, response.lift_m = phase, t_ns, tool_z_m, lift_m
-    response.missing_m = lift_m
+    response, standoff_m = adaptive.response, params.offset_m
+    response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
+    _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m)
+    response.lift_m = response.missing_m = lift_m
+    begun_z_m = response.low_z_m if response.rises != 0 else response.top_z_m
+    room_m = params.range_max_m - response.run_range_m
+    seen_z_m = begun_z_m + max(room_m - MARGIN * standoff_m, 0.5 * room_m)
+    least_z_m = tool_z_m + lift_m + response.rate_mps * _answer_s(adaptive, number)
+    response.ceiling_z_m = max(min(tool_z_m + MAX_RISE * standoff_m, seen_z_m), least_z_m)
 
 
 @jit
@@ -89,7 +105,7 @@ def _is_quiet(response):
 @jit
 def _update_mean(response, range_m, sigma_m, number):
     """Update the mean of `number` ranges, and that of the run, with a range of standard deviation σ [m]."""
-    most_m = BAND_SIGMAS * sigma_m
+    most_m = max(BAND_SIGMAS * sigma_m, SWINGS[0] * response.swing_m)
     deviation_m = min(max(range_m - response.mean_m, -most_m), most_m)
     response.mean_m += deviation_m / number
     response.spread_m += (abs(deviation_m) - response.spread_m) / (2.0 * MIN_MEANS * number)
@@ -110,19 +126,6 @@ def _responds(adaptive, band_m):
         least_m = max(TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
         changed = response.repeated != 0 and adaptive.repeats.count == 1
     return abs(response.mean_m - response.run_range_m) > least_m or changed
-
-
-@jit
-def is_suspicious(error, motion, rate, band, tau_s, reach):
-    """Whether an error that does not change is too great for a lag, and for the motion of the run.
-
-    Parameters
-    ----------
-    error, motion, rate, band : float64  error, motion of the tool and its rate, band of the noise [m or rad]
-    tau_s : float64                      time constant of the axis [s]
-    reach : float64                      motion that the surface leaves to the tool [m or rad]
-    """
-    return error > max(band, LAG_TAUS * tau_s * rate) and error * motion > ERROR_MOTION * band * reach
 
 
 @jit
@@ -173,11 +176,10 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     late = response.lift_m > 0.0 and (t_ns - response.test_ns) * 1e-9 > _answer_s(adaptive, number)
     response.rises, response.repeated = 1 if rises else 0, 1 if repeats and not (wrong or quiet) else 0
     if rises and late:  # the greater shift stands out from the lag of the axis
-        response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
         lift_m = response.lift_m + MOTION_BANDS * band_m + tau * rate
-        _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m, lift_m)
+        _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m)
     elif not rises and (late or suspicious or far):
-        _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m, 0.0)
+        _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m)
 
 
 @jit
@@ -188,7 +190,7 @@ def _test_descent(params, adaptive, t_ns, tool_z_m):
     response.run_range_m, response.run_samples = 0.5 * (descent.most_m + descent.least_m), RUN_SAMPLES
     response.swing_m = descent.tested_m
     response.rises = response.repeated = 0
-    _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m, 0.0)
+    _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m)
 
 
 @jit
@@ -208,9 +210,10 @@ def _excess_lead_m(adaptive, tool_z_m):
 def _update_test(params, adaptive, t_ns, tool_z_m, number, band_m):
     """Go from a hold to a lift, and end one without response: the sensor is stuck, if the tool obeyed.
 
-    It obeyed a lift from a descent when it is there, and that from an ascent when the setpoint is ahead of it
-    by little more than before. Otherwise the ground rises, another controller leads the tool, or its axis
-    cannot climb faster, and a new run begins in the end, unless the range is repeated.
+    It obeyed a lift from a descent when it is there and the setpoint is not ahead, one from an ascent when
+    the setpoint is ahead by little more than before, or it stands at its ceiling. Otherwise the
+    ground rises, another controller leads the tool, or its axis cannot climb faster, and a new run begins in
+    the end, unless the range is repeated.
 
     Parameters
     ----------
@@ -221,8 +224,9 @@ def _update_test(params, adaptive, t_ns, tool_z_m, number, band_m):
     band_m : float64    as in `_update_run`
     """
     response, rises = adaptive.response, adaptive.response.rises != 0
+    lead_m = _excess_lead_m(adaptive, tool_z_m)
     if rises:  # under a constant range the setpoint oscillates: the mean of four means of ranges counts
-        missing_m = _excess_lead_m(adaptive, tool_z_m) - response.lead_m
+        missing_m = lead_m - response.lead_m
         response.missing_m += (missing_m - response.missing_m) / (2.0 * MIN_MEANS * number)
     late_s = (t_ns - response.test_ns) * 1e-9 - _answer_s(adaptive, number)
     longest_s = ANSWER_TAUS * adaptive.plant.tau_s
@@ -230,13 +234,17 @@ def _update_test(params, adaptive, t_ns, tool_z_m, number, band_m):
         return
     if response.phase == RESPONSE_HOLD:
         lift_m = max(MOTION_BANDS * band_m, SWINGS[1] * response.swing_m)
-        _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m, lift_m)
+        _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m)
         return
-    if not rises:
-        response.missing_m = response.test_z_m + response.lift_m - tool_z_m
+    if not rises:  # it is there, and follows the setpoint
+        response.missing_m = max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
+    allowed_m = OBEYED[response.rises] * response.lift_m
+    obeyed, below_m = response.missing_m < allowed_m, response.ceiling_z_m - tool_z_m
+    if rises and below_m < allowed_m:  # one that another controller leads goes on
+        obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * response.rate_mps
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
     response.repeated = 1 if is_repeated(adaptive.repeats) else 0
-    if response.repeated != 0 or (applied and response.missing_m < OBEYED[response.rises] * response.lift_m):
+    if response.repeated != 0 or (applied and obeyed):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
         _begin_run(params, adaptive, tool_z_m)

@@ -21,17 +21,25 @@ def rise_rate(adaptive):
 
 
 @jit
-def uncertain_clearance(adaptive):
-    """Clearance that may be lost since the run of ranges began that a test of the response is about [m].
+def uncertain_clearance(adaptive, silent):
+    """Clearance that may be lost unseen [m].
 
-    All ranges since then are uncertain, and the tool has moved. It is 0 without a test, and under a slow
-    sensor: the ground changes while an answer is awaited, and a test may fail by chance.
+    In a test of the response it is that since the run of ranges began which the test is about: all ranges
+    since then are uncertain, and the tool has moved. A slow sensor is no such one: the ground changes while
+    an answer is awaited, and a test may fail by chance. In silence it is that since the newest sample.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState`
+    silent : bool  samples are missing
     """
-    response, setpoint = adaptive.response, adaptive.setpoint
-    if response.phase == RESPONSE_RUN or is_slow(adaptive):
+    response, setpoint, begin_m = adaptive.response, adaptive.setpoint, adaptive.blend.tracked_m
+    tested = response.phase != RESPONSE_RUN and not is_slow(adaptive)
+    if not tested and not silent:
         return 0.0
     unseen_s = (adaptive.clock.now_ns - adaptive.hold.t_ns) * 1e-9
-    unseen_s += response.run_samples * adaptive.prediction.interval_s
-    begin_m = response.low_z_m if response.rises != 0 else response.top_z_m
+    if tested:
+        unseen_s += response.run_samples * adaptive.prediction.interval_s
+        begin_m = response.low_z_m if response.rises != 0 else response.top_z_m
     descent_m = begin_m - setpoint.position_m if setpoint.t_ns != 0 else 0.0
     return descent_m + rise_rate(adaptive) * unseen_s

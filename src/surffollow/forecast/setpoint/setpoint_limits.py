@@ -139,9 +139,27 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
         setpoint.approaching = 0
 
 
+@jit
+def note_limits(params, setpoint):
+    """Note the limits of acceleration and jerk; whether one is lower than for the setpoint before."""
+    accel_mps2, jerk_mps3 = min(params.max_accel_mps2, 20.0 * params.plant_a_max_mps2), params.max_jerk_mps3
+    fallen = accel_mps2 < setpoint.max_accel_mps2 or jerk_mps3 < setpoint.max_jerk_mps3
+    setpoint.max_accel_mps2, setpoint.max_jerk_mps3 = accel_mps2, jerk_mps3
+    return fallen
+
+
+@jit
+def begin_setpoint(setpoint, height_m, rate_mps):
+    """Begin at a height [m] with a velocity [m/s] and without acceleration."""
+    setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = height_m, rate_mps, 0.0
+
+
 @jit_inlined
 def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     """Move the setpoint toward its target within the limits; after a pause it begins at the tool.
+
+    It begins there, too, when a limit falls: velocity and acceleration that the limits of before allowed
+    cannot be stopped within those in force.
 
     Parameters
     ----------
@@ -158,9 +176,13 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
         update_interval(setpoint, dt)
     setpoint.t_ns = now_ns
     if pause:
-        setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = tool_z_m, 0.0, 0.0
+        begin_setpoint(setpoint, tool_z_m, 0.0)
         setpoint.approaching = 1
         dt = 5e-4  # as if the cycle before was so long ago
+    if note_limits(params, setpoint) and not pause:
+        # with the motion of the tool, which its axis can stop; none toward the surface
+        rate_mps = max(adaptive.kinematics.climb_mps, 0.0)
+        begin_setpoint(setpoint, tool_z_m + rate_mps * adaptive.plant.tau_s, rate_mps)
     longest_s = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
     dt = min(dt, longest_s) if dt <= PAUSE_NS * 1e-9 else dt
     steps = math.ceil(dt / longest_s)

@@ -3,41 +3,29 @@
 import math
 
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_RUN
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_LIFT
 
 
 @jit
 def setpoint_shift_m(response):
-    """Height by which the setpoint is shifted up in a run, and in a lift from an ascent [m].
+    """Height by which the setpoint is shifted up in a run, in a lift, and twice after it [m].
 
-    Blend and plan are shifted alike.
+    A range that did not change because the ground rose with the tool answers the second lift. Blend and plan
+    are shifted alike.
     """
-    shifted = response.phase == RESPONSE_RUN or (response.phase == RESPONSE_LIFT and response.rises != 0)
-    return response.lift_m if shifted else 0.0
+    return 2.0 * response.lift_m if response.phase == RESPONSE_FAILED else response.lift_m
 
 
 @jit
-def setpoint_range(params, response, standoff_m):
-    """Lowest and highest setpoint that the test permits; ∓∞: no limit.
+def setpoint_range(response):
+    """Lowest and highest setpoint that the test permits [m]; ∓∞: no limit.
 
-    In a test the tool does not descend. One that a range without response may have led up rises by
-    three stand-offs more at most, and no farther than the sensor sees from the stand-off. Over rising
-    ground a good sensor answers when the tool stops there.
-
-    Parameters
-    ----------
-    params : record of `Params`
-    response : record of `Response`
-    standoff_m : float64  desired height of the tool above the ground [m]
-
-    Returns
-    -------
-    2 × float64 [m]
+    In a test the tool does not descend. In a lift and after it, it rises no farther than the sensor sees.
+    Over rising ground a good sensor answers when the tool stops there.
     """
     lowest_m, highest_m = -math.inf, math.inf
     if response.phase == RESPONSE_HOLD or response.phase == RESPONSE_LIFT:
         lowest_m = response.test_z_m + (response.lift_m if response.rises == 0 else 0.0)
-    if response.phase != RESPONSE_RUN and response.rises != 0:
-        rise_m = min(3.0 * standoff_m, params.range_max_m - params.offset_m)
-        highest_m = response.test_z_m + max(rise_m, response.lift_m)
+    if response.phase == RESPONSE_LIFT or response.phase == RESPONSE_FAILED:
+        highest_m = response.ceiling_z_m
     return lowest_m, highest_m

@@ -37,7 +37,7 @@ def observe_ground(params, adaptive, h_m):
     preview.mean_m += 1.0 / USUAL_SAMPLES * offset
     if s > preview.predicted_from_m + 2.0 * PREDICTION_M:
         preview.mean_m = h_m
-    elif adapts(params):  # otherwise only the recent mean is updated
+    elif adapts(params, adaptive):  # otherwise only the recent mean is updated
         preview.offset_m2 += 1.0 / USUAL_SAMPLES * (offset * offset - preview.offset_m2)
         preview.error_m2 += 1.0 / USUAL_SAMPLES * (error * error - preview.error_m2)
     preview.predicted_m, preview.predicted_from_m = h_m + bank_rise(adaptive, PREDICTION_M), s

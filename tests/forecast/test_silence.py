@@ -1,0 +1,60 @@
+"""Silence of the sensor: VALID ends when ground that is not seen may have come near; true reasons."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surffollow import Follower
+
+from .job_loop import BOOM, CELL, follow
+
+MS = 1_000_000
+FIELD = replace(
+    BOOM, standoff_m=0.5, tau_s=0.15, reading_s=0.02, v_max_mps=0.8, a_max_mps2=4.0, sigma_m=0.005
+)
+
+
+def silent_from(start_s):
+    return lambda t, r, rng: math.nan if t > start_s else r
+
+
+@pytest.mark.parametrize(("job", "slope", "speed_mps"), [(FIELD, 0.032, 5.0), (CELL, 0.3, 0.2)])
+def test_valid_ends_before_ground_that_is_known_to_rise_has_come_near(job, slope, speed_mps):
+    """GIVEN a long slope WHEN the sensor falls silent THEN VALID ends for good with half the clearance left.
+
+    It went on for 33 τ, into the ground.
+    """
+    seconds = 80.0 * job.tau_s
+    silent_s = 0.5 * seconds
+    run = follow(job, lambda x, t: slope * x, seconds, speed_mps, misread=silent_from(silent_s))
+    valid = np.array(["VALID" in s["status"] for s in run.states])
+    assert run.clearance_m[valid].min() > 0.5 * job.standoff_m
+    ends = np.flatnonzero(np.diff(valid.astype(int)) < 0)
+    assert len(ends) == 1, "without a reading it does not become valid again"
+
+
+def test_valid_goes_on_in_silence_over_level_ground():
+    run = follow(CELL, lambda x, t: 0.0, 4.0, 0.2, misread=silent_from(2.0))
+    assert "VALID" in run.states[-1]["status"]
+
+
+@pytest.mark.parametrize("standoff_m", [0.1, 3.2])
+def test_readings_outside_the_window_are_named(standoff_m):
+    """GIVEN a good sensor WHEN all at once it reads beyond its window THEN it is no drop-out."""
+    f = Follower({"sensors": [{"near_m": 0.3 * standoff_m, "far_m": 3.0 * standoff_m}]}, offset_m=standoff_m)
+    rng, named = np.random.default_rng(1), []
+    for ms in range(2000):
+        if ms % 4 == 0:
+            r = standoff_m * (1.0 if ms < 1000 else 3.5) * (1.0 + 1e-3 * rng.standard_normal())
+            f.step(ms * MS, [r])
+        if ms % 10 == 0:
+            f.pose(ms * MS, (0.1 * standoff_m * ms * 1e-3, 0.0, standoff_m, 0.0, 0.0, 0.0, 1.0))
+            f.step(ms * MS, [math.nan])
+            named.append(f.state())
+    assert named[90]["health"] == "OK"
+    assert named[-1]["health"] == "OUT_OF_RANGE"
+    assert "outside the window" in named[-1]["reason"]
