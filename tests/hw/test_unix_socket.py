@@ -102,12 +102,13 @@ def test_a_socket_that_a_dead_service_left_is_replaced_and_nothing_else_is(tmp_p
         finally:
             for driver in drivers.values():
                 driver.stop()
-    assert plain.read_text() == "kept" and used.exists()
+    assert plain.read_text() == "kept"
+    assert used.exists()
 
 
 @pytest.mark.parametrize(
     "wrong", [{"path": "laser.sock"}, {"path": "/" + 107 * "x"}, {"users": ["no_such_user_here"]}]
 )
 def test_a_path_or_user_that_cannot_be_is_refused(wrong: dict[str, Any], tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="path = |no user"):
+    with pytest.raises(ConfigError, match=r"path = |no user"):
         made(settings(tmp_path / "x") | wrong)

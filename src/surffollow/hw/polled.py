@@ -163,9 +163,8 @@ class PolledDriver:
             if state == SILENT:
                 since = format_ns(now_ns - self._received_ns)
                 return [f"{name}: connected, but nothing was received for {since}"]
-            good = (
-                f"the last good one {format_ns(now_ns - self._good_ns)} ago" if self._good_ns else "none good"
-            )
+            since = format_ns(now_ns - self._good_ns)
+            good = f"the last good one {since} ago" if self._good_ns else "none good"
             return [
                 f"{name}: what arrives is not taken ({self._source.rejected} pieces rejected, {good}); "
                 f"{getattr(self._source, 'rejection', REJECTION)}"

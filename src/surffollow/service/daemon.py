@@ -27,12 +27,13 @@ from surffollow.service.cycle import run_cycles
 from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.heartbeat import FAULT_CYCLE_STALLED, Heartbeat
 from surffollow.service.initialise import (
+    forget_parameters,
     initialise_constants,
     initialise_log,
     initialise_memory,
     make_change_queue,
     make_sample_ring,
-    stop_after_death,
+    stop_after_end,
 )
 from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
@@ -159,10 +160,10 @@ class Daemon:
                 run_cycles(self.mem, 0, 0)
                 # the paper's initialisation of the forecast is SFReset itself
                 sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
-                died, self._in_force = stop_after_death(self.mem, self.objects), True
-                if died:
+                differ, self._in_force = stop_after_end(self.mem, self.objects), True
+                if differ:
                     self.messages.report(
-                        "the service before died with other parameters in force: stopped until the pose's "
+                        "the service before ended with other parameters in force: stopped until the pose's "
                         "holder has set its own and resets the stop"
                     )
                 if not side.wait(progress.waiting, self._wake):
@@ -279,8 +280,9 @@ class Daemon:
         self.mem.output[0]["status"] = 0
         self.mem.output[0]["demand"] = 0.0
         latch_write(self.objects.address("output"), self.mem.output.ctypes.data, Output.SIZE)
-        if self._in_force and wait_readable(self._wake, 0.0):  # the stop was requested: no fault ended it
-            self.objects.map_header[0]["params_hash"] = 0
+        if self._in_force and wait_readable(self._wake, 0.0):  # the end was requested: no fault caused it
+            self._serve()  # clients that have left meanwhile hold nothing
+            forget_parameters(self.mem, self.objects)
         self._heartbeat.end()
         self.objects.set_state(lb.STATE_STOPPED)
         run("letting the clients go", self._slots.close, None)

@@ -1,4 +1,4 @@
-"""Datagrams of a sensor: one or several frames, or lines, in each, in order; where they come from is given."""
+"""Datagrams of a sensor: one or several frames, or lines, in each; a subclass judges the senders."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Datagrams(Protocol):
     socket: socket.socket
 
     def receive(self) -> tuple[bytes, str]:
-        """The next datagram, and why its sender is refused (empty: it is not); BlockingIOError: there is none."""
+        """The next datagram, and why its sender is refused, or ""; BlockingIOError: there is none."""
         ...
 
 
