@@ -38,10 +38,12 @@ from surffollow.service.initialise import (
 from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.messages import STDOUT, Messages
+from surffollow.service.mount_notes import MountWatch
 from surffollow.service.notify import CompileProgress, sd_notify
 from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.service.slot_server import SlotServer
 from surffollow.shm import layout_board as lb
+from surffollow.shm.ending_signals import handle_ending
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_follow import Output
 from surffollow.shm.python_atomics import load_acquire, store_release
@@ -88,8 +90,15 @@ class Daemon:
             self._changes = make_change_queue(self.mem)
             self._driver_watch = DriverWatch(self.driver)
             self._slots = self._make_slot_server()
+            self._mounts = MountWatch(self.mem.params, self.driver.info)
             self._heartbeat = Heartbeat(
-                self.objects, self.mem.ctx, self._driver_watch, self.grants, self._slots, self.messages
+                self.objects,
+                self.mem.ctx,
+                self._driver_watch,
+                self.grants,
+                self._slots,
+                self.messages,
+                self._mounts,
             )
             self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         except BaseException:
@@ -127,6 +136,8 @@ class Daemon:
             self._await_first_cycles()
             self._prioritise_cycle(threads[0])
             self._require_realtime(realtime.FIFO | realtime.AFFINITY | realtime.MLOCKALL)
+            for note in self._mounts.notes():
+                self.messages.report(note)
             self.objects.set_state(lb.STATE_READY)
             sd_notify(f"READY=1\nSTATUS=cycle {self.mem.ctx[m.PERIOD_NS] / 1e6:g} ms")
             if on_ready is not None:
@@ -188,8 +199,7 @@ class Daemon:
 
     def _take_signals(self) -> None:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGTERM, signal.SIGINT):
-                signal.signal(number, lambda *_: self._on_signal())
+            handle_ending(lambda *_: self._on_signal())
             signal.signal(signal.SIGIO, signal.SIG_IGN)  # a process opened memory that is being examined
 
     def _on_signal(self) -> None:
@@ -289,7 +299,7 @@ class Daemon:
 
 
 def serve(config: ServiceConfig, quiet: bool = False) -> None:
-    """Run a service in the foreground until SIGTERM or SIGINT."""
+    """Run a service in the foreground until SIGTERM, SIGINT or SIGHUP."""
     messages = Messages().start()
     interrupted: list[int] = []
 
