@@ -195,7 +195,7 @@ def become(asked: dict[str, Any]) -> None:
     """Run `python -m surffollow WORDS` in a fresh child."""
     for number, action in (
         (signal.SIGINT, signal.default_int_handler),
-        *((n, signal.SIG_DFL) for n in (signal.SIGTERM, signal.SIGCHLD, signal.SIGIO)),
+        *((n, signal.SIG_DFL) for n in (signal.SIGHUP, signal.SIGTERM, signal.SIGCHLD, signal.SIGIO)),
     ):
         signal.signal(number, action)
     os.environ.clear()

@@ -86,3 +86,26 @@ def test_scales_are_each_others_inverse(number, unit):
 )
 def test_durations_as_text(t_ns, text):
     assert format_ns(t_ns) == text
+
+
+@given(
+    st.integers(1, 10**15),
+    st.sampled_from(
+        [("us", "s", 6), ("µs", "s", 6), ("ms", "s", 3), ("ns", "s", 9), ("mm", "m", 3), ("um", "m", 6)]
+    ),
+)
+def test_a_decimal_quantity_is_the_float_that_the_same_decimal_number_is(number, units):
+    unit, si_unit, digits = units
+    assert parse_quantity(f"{number} {unit}", si_unit) == float(f"{number}e-{digits}")
+    assert parse_quantity(f"{number}.5 {si_unit}", unit) == float(f"{number}.5e{digits}")
+
+
+@pytest.mark.parametrize("text", ["1e999999999 mm", "-1e999999999 mm"])
+def test_a_number_beyond_all_floats_is_refused_at_once(text):
+    with pytest.raises(UsageError, match="not a finite quantity"):
+        parse_quantity(text, "m")
+
+
+@pytest.mark.parametrize("text", ["1e-999999999 mm", "0e999999999 mm"])
+def test_a_number_below_all_floats_is_zero_at_once(text):
+    assert parse_quantity(text, "m") == 0.0

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from fractions import Fraction
 
 from surffollow.errors import UsageError
 
-# unit → (dimension, factor to SI)
-_UNITS: dict[str, tuple[str, float]] = {
+# unit → (dimension, factor to SI); a float stands for the decimal number that is written here
+_UNITS: dict[str, tuple[str, float | Fraction]] = {
     "m": ("length", 1.0),
     "km": ("length", 1e3),
     "cm": ("length", 1e-2),
@@ -33,7 +34,7 @@ _UNITS: dict[str, tuple[str, float]] = {
     "mm/s": ("speed", 1e-3),
     "cm/s": ("speed", 1e-2),
     "in/s": ("speed", 0.0254),
-    "km/h": ("speed", 1.0 / 3.6),
+    "km/h": ("speed", Fraction(5, 18)),
     "m/s^2": ("acceleration", 1.0),
     "m/s2": ("acceleration", 1.0),
     "mm/s^2": ("acceleration", 1e-3),
@@ -80,6 +81,11 @@ def unit_scale(unit: str, si_unit: str) -> float:
     >>> unit_scale("in", "mm"), unit_scale("ms", "ns")
     (25.4, 1000000.0)
     """
+    return float(_exact_scale(unit, si_unit))
+
+
+def _exact_scale(unit: str, si_unit: str) -> Fraction:
+    """`unit_scale` without rounding: "20 us" is the number 20e-6, which 20 · 1e-6 in floats is not."""
     for u in (unit, si_unit):
         if u not in _UNITS:
             known = ", ".join(sorted(n for n, (d, _) in _UNITS.items() if d == _UNITS.get(si_unit, ("",))[0]))
@@ -89,7 +95,7 @@ def unit_scale(unit: str, si_unit: str) -> float:
         raise UsageError(
             f"unit {unit!r} is a {given}, but a {expected} in {si_unit!r} (or its multiples) is needed"
         )
-    return factor / si
+    return Fraction(str(factor)) / Fraction(str(si))
 
 
 def parse_quantity(value: object, unit: str) -> float:
@@ -124,12 +130,25 @@ def parse_quantity(value: object, unit: str) -> float:
         match = _QUANTITY.match(value)
         if match is None:
             raise UsageError(f"{value!r} is no quantity; write a number and a unit, like '5 {unit}'")
-        number = float(match[1]) * (unit_scale(match[2], unit) if match[2] else 1.0)
+        number = float(match[1])
+        if match[2]:
+            scale = _exact_scale(match[2], unit)
+            # a number that a float can hold has a fraction of bounded size
+            if number != 0.0 and math.isfinite(number):
+                number = _rounded(Fraction(match[1]) * scale)
     else:
         number = float(value)
     if not math.isfinite(number):
         raise UsageError(f"{value!r} is not a finite quantity")
     return number
+
+
+def _rounded(number: Fraction) -> float:
+    """The nearest float; infinite beyond the largest one."""
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf
 
 
 def real_number(value: object, name: str) -> float:

@@ -26,7 +26,7 @@ else:
 TGKILL = {"x86_64": 234, "aarch64": 131}
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 @pytest.mark.skipif(platform.machine() not in TGKILL, reason="the number of tgkill is not known here")
 def test_a_signal_that_does_not_interrupt_the_wait_for_clients_ends_the_arbiter(make_arbiter, number):
     """GIVEN a main thread that sleeps WHEN another thread receives the signal THEN the arbiter ends.
@@ -47,7 +47,7 @@ def test_a_signal_that_does_not_interrupt_the_wait_for_clients_ends_the_arbiter(
     assert not list(Path("/dev/shm").glob(f"{arbiter.name}*"))
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_a_compilation(make_arbiter, tmp_path, number):
     # GIVEN an arbiter that compiles its kernels: its cache is empty
     arbiter = make_arbiter()

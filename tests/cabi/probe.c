@@ -41,6 +41,13 @@ static int answer(const char *verb, char *rest) {
   if (strcmp(verb, "auto") == 0) return options.auto_reattach = (int)v[0], 0;
   if (strcmp(verb, "owner") == 0) return options.owner = (int64_t)v[0], 0;
   if (strcmp(verb, "stale_ms") == 0) return options.stale_min_ns = (int64_t)(v[0] * 1e6), 0;
+  if (strcmp(verb, "stale_of") == 0) { /* periods, least age [ns], period [ns] */
+    sf_options o = sf_default_options();
+    o.stale_periods = (int64_t)v[0];
+    o.stale_min_ns = (int64_t)v[1];
+    printf("%" PRId64 " ", sf_i_stale_ns(&o, (int64_t)v[2]));
+    return 0;
+  }
   if (strcmp(verb, "ready_ms") == 0) return options.ready_wait_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "timeout_ms") == 0) return options.timeout_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "detach") == 0) return sf_detach(&client), 0;

@@ -16,6 +16,7 @@ from running_service import STANDOFF_M, Service, until
 from second_user import needs_root
 from surffollow.client import STALE, Client, Demand, observe
 from surffollow.client import attach as attach_hasty
+from surffollow.client.observer import stale_age_ns
 from surffollow.config.names import OBJECTS
 from surffollow.config.params import PARAMS, UNIT_ENDINGS
 from surffollow.errors import BusyError, RefusedError
@@ -115,8 +116,9 @@ def test_second_sender_of_the_pose_is_refused_with_the_holders_pid(
     assert (refused.result, refused.detail) == (-100 - lb.ERR_POSE_HELD, probe.pid)
     with attach(service.name) as robot, pytest.raises(BusyError, match=f"pid {probe.pid}"):
         robot.ee_pos((0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
-    # WHEN the holder lets go, THEN the other may
+    # WHEN the holder lets go, THEN the other may, at once when it claims the pose
     assert probe("release").result == OK
+    assert other("claim").result == OK
     assert other(POSE).result == OK
 
 
@@ -371,3 +373,46 @@ def test_every_parameter_is_known_without_its_unit_in_c_too(
         assert probe(f"get {short}").result == OK, short
         assert probe(f"get {short}").values == probe(f"get {full}").values
     assert probe("get max_turn_m").result == -7
+
+
+@pytest.mark.parametrize(
+    ("periods", "least_ns", "period_ns", "age_ns"),
+    [
+        (20, 5_000_000, 1_000_000, 20_000_000),
+        (20, 5_000_000, 100_000, 5_000_000),
+        (20, 5_000_000, 10_000_000, 100_000_000),
+        (20, 5_000_000, 100_000_000, 300_000_000),
+        (20, 5_000_000, 1_000_000_000, 3_000_000_000),
+        (1, 0, 1_000_000_000, 1_000_000_000),
+        (1 << 62, 0, 1_000_000, 100_000_000),
+        (20, 10_000_000_000, 1_000_000, 10_000_000_000),
+    ],
+)
+def test_a_demand_of_a_slow_service_is_stale_after_three_periods(
+    make_probe: Callable[..., Probe], periods: int, least_ns: int, period_ns: int, age_ns: int
+) -> None:
+    assert stale_age_ns(periods, period_ns, least_ns) == age_ns
+    assert make_probe()(f"stale_of {periods} {least_ns} {period_ns}").values == [age_ns]
+
+
+def test_no_call_waits_and_few_ask_while_another_client_has_the_pose(probe: Probe, service: Service) -> None:
+    with attach(service.name) as driver:
+        # GIVEN a Python client with the pose, and a C client that was refused
+        driver.claim_pose()
+        began_s = time.monotonic()
+        refused = probe(POSE)
+        # WHEN it goes on calling, THEN it is refused by the same process each time
+        for _ in range(300):
+            assert probe(POSE)[:2] == refused[:2] == (-100 - lb.ERR_POSE_HELD, os.getpid())
+        # THEN the service was asked a few times at first, and then once a second at most
+        asked = until(lambda: claims_of(driver, probe.pid), "the audit")
+        assert asked <= 6 + (time.monotonic() - began_s)
+        # WHEN the pose is free, THEN the C client has it soon
+        driver.release_pose()
+        probe.until(POSE, lambda a: a.result == OK)
+
+
+def claims_of(client: Client, pid: int) -> int:
+    """How often a process was refused the pose."""
+    entries = [e for e in client.audit() if e["pid"] == pid and e["request"] == "claim_pose"]
+    return sum(e["count"] for e in entries if not e["accepted"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import random
 import struct
 import subprocess
@@ -132,6 +133,7 @@ def test_a_channel_has_one_client_until_it_lets_go(
     )
     # WHEN one lets go, THEN the other may push
     client.release_range(0)
+    assert probe("claim_range 0").result == 0
     assert probe("push 0 0.1 0").result == 0
     assert probe("release_range 0").result == 0
     client.push_range(0, time.monotonic_ns(), 0.1)
@@ -340,3 +342,39 @@ def test_pose_and_channels_of_ranges_are_claimed_anew_in_steps_whichever_call_co
         assert slow < 10, "one waiting exchange takes a second"
     # WHEN the socket answers, THEN the client has all that it had
     until(lambda: [probe(call).result for call in calls] == [0, 0, 0], "pose and ranges")
+
+
+def test_no_call_waits_and_few_ask_while_another_client_pushes_the_channel(
+    outside: Service, client: Client, make_probe: Callable[..., Any]
+) -> None:
+    probe = make_probe()
+    assert probe(f"attach {outside.name}").result == 0
+    client.claim_range(1)
+    with attach(outside.name, stale_min_s=1.0, label="second") as second:
+        for pid, push in (
+            (probe.pid, lambda: probe("push 1 0.2 0").result == -100 - lb.ERR_RANGE_HELD),
+            (os.getpid(), lambda: is_refused(second)),
+        ):
+            # GIVEN a client that was refused WHEN it goes on calling, THEN it is refused each time
+            began_s, before = time.monotonic(), refusals_of(client, pid)
+            assert all(push() for _ in range(300))
+            # THEN the service was asked a few times at first, and then once a second at most
+            asked = until(lambda pid=pid, n=before: refusals_of(client, pid) - n, "the audit")
+            assert asked <= 6 + (time.monotonic() - began_s)
+    client.release_range(1)
+    probe.until("push 1 0.2 0", lambda a: a.result == 0)
+
+
+def is_refused(client: Client) -> bool:
+    """Whether a range is refused."""
+    try:
+        client.push_range(1, time.monotonic_ns(), 0.2)
+    except BusyError:
+        return True
+    return False
+
+
+def refusals_of(client: Client, pid: int) -> int:
+    """How often a process was refused a channel."""
+    entries = [e for e in client.audit() if e["pid"] == pid and e["request"] == "claim_range"]
+    return sum(e["count"] for e in entries if not e["accepted"])

@@ -17,6 +17,7 @@ from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import VALID
 
 OK, NOT_RUNNING = 0, -20
+NO_DEMAND = 1
 SILENCE_NS = 20_000_000
 POSE = "ee 0.05 0.05 0.1 0 0 0 1"
 
@@ -234,3 +235,31 @@ def test_no_call_of_a_control_loop_waits_for_a_socket_that_hangs(
         assert slow < 10, "one waiting exchange takes a second"
     # THEN poses go on when the socket does
     probe.until(POSE, lambda a: a.result == OK)
+
+
+def test_a_client_that_knows_of_the_end_gives_no_demand_however_new_it_is(
+    killable: Service, make_probe: Callable[..., Probe]
+) -> None:
+    # GIVEN clients for which a demand is stale after an hour only
+    probe, fixed = (make_probe(stale_ms=3_600_000) for _ in range(2))
+    fixed("auto 0")
+    for p in (probe, fixed):
+        assert p(f"attach {killable.name}").result == OK
+    for p in (fixed, probe):
+        p.until(POSE, lambda a: a.result == OK)
+        p.until("dev", lambda a: not int(a.values[2]) & STALE)
+        p("release")
+    probe.until(POSE, lambda a: a.result == OK)
+    # WHEN the service is killed and a call says so
+    killable.kill()
+    for p in (probe, fixed):
+        p.until(POSE, lambda a: a.result == -20)
+        # THEN the demand is stale and zero
+        demand = p("dev")
+        assert demand.result == NO_DEMAND
+        assert int(demand.values[2]) & STALE
+        assert demand.values[:2] == [0.0, 0.0]
+    # WHEN it is started again, THEN the first client follows
+    killable.start()
+    probe.until(POSE, lambda a: a.result == OK)
+    probe.until("dev", lambda a: not int(a.values[2]) & STALE)

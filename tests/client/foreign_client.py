@@ -224,7 +224,9 @@ class Client:
         """*Poses and demands*: valid when VALID is set and it is not stale; else six zeros."""
         output = self.board.part("output")
         waits = LAYOUT["waits"]
-        limit = max(waits["stale_periods"] * self.board.period_ns, waits["stale_min_ns"], PATIENT_NS)
+        period_ns, least = self.board.period_ns, waits["stale_least_periods"]
+        most = max(min(waits["stale_periods"] * period_ns, waits["stale_max_ns"]), least * period_ns)
+        limit = max(most, waits["stale_min_ns"], PATIENT_NS)
         stale = output is None or time.monotonic_ns() - output["t_ns"] > limit
         if stale:
             self._follow()

@@ -80,7 +80,7 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"map": {"gridz": 3}}, ["gridz", "map"]),
         ({"period": "1 mm"}, ["period", "'mm' is a length", "time"]),
         ({"period": "1 fortnight"}, ["period", "unknown unit 'fortnight'"]),
-        ({"period": "1 us"}, ["period", "between 2e-05 and 1"]),
+        ({"period": "19.999 us"}, ["period", "between 2e-05 and 1"]),
         ({"period": 5}, ["period", "between 2e-05 and 1 s"]),
         ({"period": [1]}, ["period"]),
         ({"realtime": {"priority": 99}}, ["realtime.priority", "99", "between 1 and 98"]),
@@ -212,3 +212,9 @@ def test_too_close_follows_from_the_window_that_is_configured(follow, close_m, e
     in_process = Follower(follow)
     assert float(in_process._params["too_close_m"][0]) == float(params["too_close_m"][0])
     assert float(in_process._params["too_close_exit_m"][0]) == float(params["too_close_exit_m"][0])
+
+
+@pytest.mark.parametrize("period", ["20 us", "0.02 ms", "1 s", "1000 ms", "1000000 us"])
+def test_the_documented_bounds_of_the_period_are_accepted(period: str) -> None:
+    config = parse_config({"period": period, "watchdog": "60 s"})
+    assert seconds(config.period, "period", 20e-6, 1.0) in (20e-6, 1.0)

@@ -1,4 +1,4 @@
-"""Drivers on a CAN bus and on UDP: order, time, who is listened to, what is lost."""
+"""Drivers on a CAN bus and with datagrams: order, time, who is listened to, what is lost."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from running_service import unique_name, until
 from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue
 from surffollow.hw.polled import GARBLED, RUNNING, SILENT, WAITING
+from surffollow.hw.wire.udp import _Received, is_own_address
+
+IP_PKTINFO = 8  # the socket module has it from Python 3.14 on
 
 
 def test_can_messages_are_stamped_before_their_receive_time_and_others_are_ignored() -> None:
@@ -91,7 +94,7 @@ def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
     settings = {
         "kind": "udp",
         "port": 0,
-        "sender": "127.0.0.1",
+        "sender": "any",
         "format": form,
         "sequence": {"offset": 0},
         "silence_s": 0.5,  # after it, what came since the last distance tells GARBLED from SILENT
@@ -120,41 +123,96 @@ def test_datagrams_give_distances_in_order_and_count_what_is_missing() -> None:
 
 def test_only_the_named_sender_is_listened_to() -> None:
     with contextlib.ExitStack() as stack:
-        sensor, stranger = (
-            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)
+        receiver, sensor, stranger = (
+            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(3)
         )
-        for one in (sensor, stranger):
+        for one in (receiver, sensor, stranger):
             one.bind(("127.0.0.1", 0))
         reported = "{}:{}".format(*sensor.getsockname())
-        driver = made({"kind": "udp", "port": 0, "sender": reported, "format": LINE_FORMAT, **WINDOW})
-        source, queue = driver._source, ConversionQueue()
-        driver.start(queue)
-        try:
-            # GIVEN a driver that listens to one sender
-            until(lambda: source.port != 0, "the socket")
-            # WHEN a stranger sends too
-            stranger.sendto(line(0.07), ("127.0.0.1", source.port))
-            sensor.sendto(line(0.1), ("127.0.0.1", source.port))
-            until(lambda: len(queue) > 0, "a distance")
-            # THEN its datagram is rejected
-            assert source.rejected == 1
-            assert [r for _, _, r in ranges(driver, queue)] == pytest.approx([0.1], abs=1e-6)
-            # WHEN only the stranger sends, THEN the fault names both
-            until(lambda: driver.state == SILENT, "silence")
-            stranger.sendto(line(0.07), ("127.0.0.1", source.port))
-            until(lambda: driver.state == GARBLED, "what came last told")
-            (fault,) = driver.faults()
-            found = "{}:{}".format(*stranger.getsockname())
-            assert f"datagrams come from {found}, expected from {reported}" in fault
-            assert "baud rate" not in fault
-        finally:
-            driver.stop()
+        received = _Received(receiver, reported)
+        # WHEN the named sender and a stranger send, THEN the stranger's datagram is refused
+        sensor.sendto(b"true", receiver.getsockname())
+        stranger.sendto(b"forged", receiver.getsockname())
+        assert received.receive() == (b"true", "")
+        found = "{}:{}".format(*stranger.getsockname())
+        assert received.receive() == (b"forged", f"datagrams come from {found}, expected from {reported}")
 
 
-@pytest.mark.parametrize("sender", ["", "127.0.0.1:0", "127.0.0.1:", "127.0.0.1:x"])
+def test_the_fault_names_the_strangers_address_and_that_nothing_was_good() -> None:
+    reported = "192.0.2.7:5000"  # of no machine
+    settings = {
+        "kind": "udp",
+        "port": 0,
+        "sender": reported,
+        "format": LINE_FORMAT,
+        "silence_s": 0.05,
+        **WINDOW,
+    }
+    driver = made(settings)
+    source, queue = driver._source, ConversionQueue()
+    driver.start(queue)
+    send = datagrams(lambda: source.port)
+    try:
+        until(lambda: driver.state == SILENT, "silence")
+        send(line(0.07))
+        until(lambda: driver.state == GARBLED, "what came last told")
+        (fault,) = driver.faults()
+        assert "datagrams come from 127.0.0.1:" in fault
+        assert f"expected from {reported}" in fault
+        assert "(1 pieces rejected, none good)" in fault
+        assert len(queue) == 0
+    finally:
+        driver.stop()
+
+
+@pytest.mark.parametrize(
+    "sender", ["", "192.0.2.7:0", "192.0.2.7:", "192.0.2.7:x", "0.0.0.0:5000", "224.0.0.1"]
+)
 def test_a_udp_sensor_without_a_sender_is_refused(sender: str) -> None:
     with pytest.raises(ConfigError, match="sender"):
         made({"kind": "udp", "port": 0, "sender": sender, "format": LINE_FORMAT, **WINDOW})
+
+
+@pytest.mark.parametrize("sender", ["laser.example:5000", "laser", "192.0.2", "::1"])
+def test_a_sender_that_is_no_address_is_refused_with_the_remedy(sender: str) -> None:
+    with pytest.raises(ConfigError, match=r"sender = .* (IPv4 address|a port from 1)"):
+        made({"kind": "udp", "port": 0, "sender": sender, "format": LINE_FORMAT, **WINDOW})
+
+
+def test_a_program_can_send_in_the_name_of_a_bound_address_of_its_machine() -> None:
+    """The reason why an address of this machine identifies no sender."""
+    with contextlib.ExitStack() as stack:
+        laser, service, forger = (
+            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(3)
+        )
+        laser.bind(("127.0.0.1", 0))
+        service.bind(("127.0.0.1", 0))
+        forger.bind(("127.0.0.2", laser.getsockname()[1]))
+        packet_info = struct.pack("=i4s4s", 0, socket.inet_aton("127.0.0.1"), bytes(4))
+        part = (socket.IPPROTO_IP, IP_PKTINFO, packet_info)
+        forger.sendmsg([b"forged"], [part], 0, service.getsockname())
+        assert service.recvfrom(64) == (b"forged", laser.getsockname())
+
+
+@pytest.mark.parametrize("sender", ["127.0.0.1:5700", "127.0.0.1"])
+def test_a_sender_of_this_machine_is_refused_and_the_remedies_are_named(sender: str) -> None:
+    with pytest.raises(ConfigError, match=r'every local user can send.*"unix".*"external".*"any"'):
+        made({"kind": "udp", "port": 0, "sender": sender, "format": LINE_FORMAT, **WINDOW})
+
+
+def test_another_address_of_this_machine_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surffollow.hw.wire.udp.is_own_address", lambda host: host == "192.0.2.7")
+    driver = made({"kind": "udp", "port": 0, "sender": "192.0.2.7:5700", "format": LINE_FORMAT, **WINDOW})
+    driver.start(ConversionQueue())
+    try:
+        until(lambda: "every local user can send" in driver.faults()[0], "the fault")
+    finally:
+        driver.stop()
+
+
+def test_only_addresses_of_this_machine_are_its_own() -> None:
+    assert is_own_address("127.0.0.1")
+    assert not is_own_address("192.0.2.7")
 
 
 def test_a_udp_port_in_use_is_reported_until_it_is_free() -> None:

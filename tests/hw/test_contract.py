@@ -81,6 +81,20 @@ def udp(folder: Path) -> Iterator[Made]:
 
 
 @contextlib.contextmanager
+def unix(folder: Path) -> Iterator[Made]:
+    path = folder / "laser.sock"
+    settings = {"kind": "unix", "path": str(path), "format": FRAME_FORMAT, **WINDOW}
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+
+        def send(range_m: float) -> None:
+            with contextlib.suppress(OSError):
+                sender.sendto(frame(range_m), socket.MSG_DONTWAIT, str(path))
+
+        with feeding(send):
+            yield (lambda: make_driver(settings, "x")), True
+
+
+@contextlib.contextmanager
 def can(folder: Path) -> Iterator[Made]:
     library = pytest.importorskip("can")
     name = unique_name()
@@ -150,7 +164,7 @@ def external(folder: Path) -> Iterator[Made]:
     thread.join()
 
 
-DRIVERS = (simulated, silent, replayed, serial, udp, can, iio, external, example)
+DRIVERS = (simulated, silent, replayed, serial, udp, unix, can, iio, external, example)
 
 
 @pytest.mark.parametrize("there", DRIVERS, ids=lambda f: f.__name__)

@@ -105,6 +105,21 @@ def test_a_killed_recorder_leaves_a_file_that_replays_up_to_its_last_chunk(
     assert "ends early" in report.damage
 
 
+def test_a_recorder_whose_terminal_is_closed_completes_its_file(bare: Service, tmp_path: Path) -> None:
+    # GIVEN a recorder that has written cycles of a service with a robot
+    out = tmp_path / "log.mcap"
+    bare.start()
+    with bare.recorder(out) as recorder:
+        run_robot(bare, 30)
+        until(lambda: segments_of(out) == {0}, "the first segment", DEADLINE_S)
+        # WHEN the terminal is closed
+        recorder.send_signal(signal.SIGHUP)
+        recorder.communicate(timeout=DEADLINE_S)
+    # THEN the file has its end
+    assert recorder.returncode == 0
+    assert replay_file(out).identical
+
+
 def test_recording_without_a_service_is_refused_and_makes_no_file(bare: Service, tmp_path: Path) -> None:
     with pytest.raises(NotRunningError, match=bare.name):
         record_service(bare.name, tmp_path / "log.mcap", threading.Event())

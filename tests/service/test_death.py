@@ -11,7 +11,7 @@ import pytest
 
 from running_service import POSE, Service, drive, program, said, until
 from service.pose_senders import SENDER
-from surffollow.client import STALE
+from surffollow.client import DEMAND_BYTES, STALE, Client
 from surffollow.client.demand import VALID
 from surffollow.errors import NotRunningError
 from surffollow.shm.layout_follow import POSE_STALE
@@ -48,6 +48,32 @@ def test_a_killed_service_is_stale_after_the_configured_periods_and_demands_zero
         assert json.loads(done.stdout)["state"] == "stale"
         first = s.run("status").stdout.splitlines()[0]
         assert first.endswith("; the lines below are what it published last")
+
+
+def test_a_client_that_knows_of_the_end_gives_no_demand_however_new_it_is(make_service: Make) -> None:
+    # GIVEN a client for which a demand is stale after an hour only
+    s = make_service().start()
+    with s.attach(stale_min_s=3600.0) as client:
+        until(lambda: sent(client) and not client.dev_vector().status & STALE, "a fresh demand")
+        # WHEN the service is killed and a call says so
+        s.kill()
+        until(lambda: not sent(client), "the end")
+        # THEN the demand is stale and zero
+        assert client.dev_vector().status & STALE
+        assert list(client.dev_vector()) == ZERO
+        assert not client.dev_vector_into(bytearray(DEMAND_BYTES))
+        # WHEN it is started again, THEN the client follows
+        s.start()
+        until(lambda: sent(client) and not client.dev_vector().status & STALE, "a fresh demand")
+
+
+def sent(client: Client) -> bool:
+    """Whether a pose was sent; False: the service does not run."""
+    try:
+        client.ee_pos(POSE)
+    except NotRunningError:
+        return False
+    return True
 
 
 def test_clients_follow_a_killed_and_restarted_service_by_themselves(make_service: Make) -> None:

@@ -105,7 +105,7 @@ def listen(ear: socket.socket, received: list[str]) -> None:
         received.append(message)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_it_in_good_order_and_tells_systemd(
     make_service: Make, tmp_path: Path, number: int
 ) -> None:

@@ -31,6 +31,7 @@ from surffollow.errors import BusyError, RefusedError
 from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
+POSE_CLAIM = (lb.RQ_CLAIM_POSE, 0)
 FORKER = f"""{ATTACHED}
 child = os.fork()
 if child == 0:
@@ -95,18 +96,48 @@ def test_after_a_refused_pose_further_calls_ask_nothing_for_a_while(
         own_request = other._request
         monkeypatch.setattr(other, "_request", lambda *a, **k: asked.append(1) or own_request(*a, **k))
         # WHEN it goes on within the time, THEN each call is refused with the same words and asks nothing
-        other._refused_until_ns = time.monotonic_ns() + 3600 * 10**9
+        refusal = other._refusals[POSE_CLAIM]
+        other._refusals[POSE_CLAIM] = refusal._replace(until_ns=time.monotonic_ns() + 3600 * 10**9)
         for _ in range(100):
             with pytest.raises(BusyError) as again:
                 other.ee_pos(POSE)
             assert str(again.value) == str(first.value)
         assert asked == []
-        # WHEN the time is over, or it claims the pose, THEN it asks again
-        other._refused_until_ns = 0
+        # WHEN the time is over, THEN it asks once more and no call waits
+        other._refusals[POSE_CLAIM] = refusal._replace(until_ns=0)
+        monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("a later call waits"))
+        while other._refusals[POSE_CLAIM].until_ns == 0:
+            with pytest.raises(BusyError):
+                other.ee_pos(POSE)
+        assert len(asked) == 1
+        monkeypatch.undo()
+        # WHEN it is free, THEN it is had a time later, without a wait
+        other._refusals[POSE_CLAIM] = refusal._replace(until_ns=0)
         client.release_pose()
-        other.ee_pos(POSE)
-        assert asked
+        until(lambda: not refused(other), "the pose")
     client.ee_pos(POSE)
+
+
+def refused(client: Client) -> bool:
+    """Whether a pose is refused."""
+    try:
+        client.ee_pos(POSE)
+    except BusyError:
+        return True
+    return False
+
+
+def test_the_claim_that_waits_asks_a_few_times(
+    shared_service: Service, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    with shared_service.attach() as other:
+        client.ee_pos(POSE)
+        own_request = other._request
+        monkeypatch.setattr(other, "_request", lambda *a, **k: asked.append(1) or own_request(*a, **k))
+        with pytest.raises(BusyError, match="release_pose"):
+            other.claim_pose()
+        assert 2 <= len(asked) <= 6
 
 
 def test_the_pose_can_be_handed_over_in_good_order(shared_service: Service, client: Client) -> None:

@@ -1,4 +1,4 @@
-"""A stop is kept before it is answered; what died comes back stopped where it would follow otherwise."""
+"""A stop is kept before it is answered; what ended comes back stopped where it would follow otherwise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from running_service import STANDOFF_M, Service, World, drive, until
 from surffollow.client import Client
 from surffollow.service import memory as m
 from surffollow.service.answers import params_hash
-from surffollow.service.initialise import stop_after_death
+from surffollow.service.initialise import forget_parameters, stop_after_end
 from surffollow.service.stop_latch import do_stop
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
@@ -68,17 +68,49 @@ def test_what_died_with_the_parameters_of_its_start_goes_on_by_itself(killable: 
         drive(driver, lambda: valid(driver), what="a demand of the new one")
 
 
-def test_after_an_end_in_good_order_the_configuration_holds_and_nothing_stops(
-    killable: Service,
-) -> None:
-    """GIVEN another stand-off WHEN the service is terminated and starts THEN the configuration holds and it
-    follows.
-    """
+def test_a_requested_end_under_a_robot_keeps_what_was_in_force_as_a_death_does(killable: Service) -> None:
+    """GIVEN another stand-off and a pose holder WHEN the service is ended and starts THEN it is stopped."""
     with killable.attach() as driver:
         driver.sf_reset(0.09)
         drive(driver, lambda: valid(driver), what="a demand")
+        for _ in range(2):  # a second end keeps it
+            assert killable.terminate() == 0
+            killable.start()
+            drive(driver, lambda: driver.status()["stopped"] == ["restart"], what="the stop")
+            assert not valid(driver)
+        drive(driver, lambda: driver.slot >= 0, what="a slot of the new one")
+        driver.sf_reset(0.09)
+        driver.reset_stop()
+        drive(driver, lambda: valid(driver), what="a demand after the reset")
+        assert driver.params()["offset_m"] == 0.09
+
+
+def test_a_requested_end_under_a_robot_with_the_configured_parameters_stops_nothing(
+    killable: Service,
+) -> None:
+    """GIVEN the configured parameters WHEN the service is ended and starts THEN it follows."""
+    with killable.attach() as driver:
+        drive(driver, lambda: valid(driver), what="a demand")
         assert killable.terminate() == 0
         killable.start()
+        drive(driver, lambda: valid(driver), what="a demand of the new one")
+
+
+@pytest.mark.parametrize("leaves", ["releases the pose", "closes"])
+def test_after_a_requested_end_without_a_robot_the_configuration_holds_and_nothing_stops(
+    killable: Service, leaves: str
+) -> None:
+    """GIVEN another stand-off and no pose holder WHEN the service is ended THEN the next one follows."""
+    with killable.attach() as driver:
+        driver.sf_reset(0.09)
+        drive(driver, lambda: valid(driver), what="a demand")
+        if leaves == "closes":
+            driver.close()
+        else:
+            driver.release_pose()
+        assert killable.terminate() == 0
+    killable.start()
+    with killable.attach() as driver:
         drive(driver, lambda: valid(driver), what="a demand of the new one")
         assert driver.params()["offset_m"] == STANDOFF_M
 
@@ -89,6 +121,7 @@ class StopMemory:
     def __init__(self) -> None:
         self._header, self._log = zeros(ml.MapHeader), np.zeros(lb.LogHead.SIZE // 8 + 4096, np.int64)
         self._log[lb.LogHead.offset("capacity") // 8] = 4096
+        self._objects: Any = SimpleNamespace(map_header=self._header)
         self._memory = mem = m.make_cycle_memory(self._header, zeros(ml.GridPair, 1), None)
         mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY] = self._log.ctypes.data, 4096
         mem.ctx[m.POSE_SLOT], mem.ctx[m.POSE_CLAIM], mem.ctx[m.CLAIM] = 0, 7, 7
@@ -121,9 +154,13 @@ class StopMemory:
         self._header[0]["params_hash"] = params_hash(self._memory)
 
     def start_stops(self) -> bool:
-        """Whether a start after a death is stopped."""
-        objects: Any = SimpleNamespace(map_header=self._header)
-        return bool(stop_after_death(self._memory, objects))
+        """Whether a start is stopped."""
+        return bool(stop_after_end(self._memory, self._objects))
+
+    def end_as_asked(self, claim_in_slot: int) -> bool:
+        """End while the slot of the pose's holder has that claim; whether the parameters are forgotten."""
+        self._memory.ctx[m.CLAIM] = claim_in_slot
+        return forget_parameters(self._memory, self._objects)
 
 
 def test_a_stop_is_kept_before_it_is_answered_and_no_reset_undoes_what_was_not_seen() -> None:
@@ -151,6 +188,21 @@ def test_only_parameters_that_differ_stop_a_start() -> None:
     memory.set_offset(np.nextafter(0.1, 1.0))
     assert memory.start_stops()
     assert memory.kept == STOP_RESTART
+
+
+def test_a_holder_that_has_left_its_slot_is_no_robot() -> None:
+    memory = StopMemory()
+    memory.set_offset(0.1)
+    memory.note_parameters()
+    memory.set_offset(0.11)
+    # WHEN the end is requested while the holder has its slot, THEN its parameters count
+    assert not memory.end_as_asked(7)
+    # WHEN the slot is free or has another holder, THEN they do not
+    assert memory.end_as_asked(0)
+    memory.note_parameters()
+    memory.set_offset(0.1)
+    assert memory.end_as_asked(9)
+    assert not memory.start_stops()
 
 
 def test_a_cause_that_this_release_does_not_know_stops_too(make_service: Make) -> None:

@@ -73,7 +73,7 @@ def test_robot_prints_one_json_object_and_writes_its_trace(tmp_path: Path) -> No
     assert not os.path.exists(f"/dev/shm/{NAME}.world")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_robot_ends_cleanly_when_asked_and_still_prints_its_summary(number: signal.Signals) -> None:
     process = command("--seconds", "600")
     until(lambda: robot_time_ns(process), "a robot")
@@ -85,7 +85,7 @@ def test_robot_ends_cleanly_when_asked_and_still_prints_its_summary(number: sign
     assert not os.path.exists(f"/dev/shm/{NAME}.world")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_the_wait_for_a_service(number: signal.Signals) -> None:
     words = ["simulate", *SMALL, "--wait", str(4 * WAIT_S)]
     process = subprocess.Popen([sys.executable, "-m", "surffollow", *words], stderr=subprocess.PIPE)

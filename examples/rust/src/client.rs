@@ -230,7 +230,11 @@ impl Client {
     pub fn demand(&mut self) -> Demand {
         use l::sf_output as o;
         let output = self.board.latch("output", 0, 0, o::BYTES);
-        let most_ns = (l::wait::STALE_PERIODS * self.board.period_ns).max(l::wait::STALE_MIN_NS);
+        let period_ns = self.board.period_ns;
+        let most_ns = (l::wait::STALE_PERIODS * period_ns)
+            .min(l::wait::STALE_MAX_NS)
+            .max(l::wait::STALE_LEAST_PERIODS * period_ns)
+            .max(l::wait::STALE_MIN_NS);
         let stale = output.as_ref().map_or(true, |p| sys::now_ns() - p.int(o::T_NS) > most_ns);
         if stale {
             self.follow();

@@ -6,16 +6,16 @@ import contextlib
 import signal
 from collections.abc import Iterator
 
-NUMBERS = (signal.SIGINT, signal.SIGTERM)
+NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextlib.contextmanager
-def ending_signals(*more: signal.Signals) -> Iterator[list[int]]:
-    """A list of the numbers of SIGINT, SIGTERM and `more` as they arrive; ignored ones stay ignored."""
+def ending_signals() -> Iterator[list[int]]:
+    """A list of the numbers of SIGINT, SIGTERM and SIGHUP as they arrive; ignored ones stay ignored."""
     caught: list[int] = []
     before = {
         n: signal.signal(n, lambda number, _: caught.append(number))
-        for n in (*NUMBERS, *more)
+        for n in NUMBERS
         if signal.getsignal(n) != signal.SIG_IGN
     }
     try:

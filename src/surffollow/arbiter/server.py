@@ -25,6 +25,7 @@ from surffollow.arbiter.loop import run_rounds
 from surffollow.config.group_id import configured_group_id
 from surffollow.config.service import mode
 from surffollow.errors import ServiceError
+from surffollow.shm.ending_signals import handle_ending
 from surffollow.shm.name_lock import NameLock
 from surffollow.shm.python_atomics import load_acquire, store_release
 
@@ -111,8 +112,7 @@ class Server:
     def run(self, on_ready: Callable[[], None] | None = None) -> None:
         """Start the loop, announce READY, welcome clients until asked to stop, end cleanly."""
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, lambda *_: self._on_signal())
+            handle_ending(lambda *_: self._on_signal())
             # a handler of Python's runs between two bytecodes: a signal just before a wait would not end it
             signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False)
         thread = threading.Thread(target=self._loop_thread, name="arbiter", daemon=True)
@@ -199,7 +199,7 @@ def has_waitv() -> int:
 
 
 def serve(config: ArbiterConfig, quiet: bool = False) -> None:
-    """Run an arbiter in the foreground until SIGTERM or SIGINT."""
+    """Run an arbiter in the foreground until SIGTERM, SIGINT or SIGHUP."""
     if not quiet:
         print(f"surffollow: starting arbiter {config.name!r}", file=sys.stderr, flush=True)
     server = Server(config)

@@ -23,7 +23,10 @@ def arbiter_group() -> None:
 @click.option("--name", type=SERVICE_NAME, help="Name of the arbiter [the configuration's].")
 @click.option("--quiet", is_flag=True, help="Print only READY and errors.")
 def start_command(config_path: str, name: str | None, quiet: bool) -> None:
-    """Run the server in the foreground: prints READY when clients may attach, ends on SIGTERM or Ctrl-C."""
+    """Run the server in the foreground: prints READY when clients may attach.
+
+    SIGTERM, SIGHUP and Ctrl-C end it.
+    """
     import msgspec
 
     from surffollow.arbiter.config import load_config
@@ -189,12 +192,11 @@ old_name(arbiter_group, print_header_command, "header")
 
 
 def stop_on_signals() -> list[int]:
-    """A list that gets an entry when SIGINT or SIGTERM arrives."""
-    import signal
+    """A list that gets an entry when SIGINT, SIGTERM or SIGHUP arrives."""
+    from surffollow.shm.ending_signals import handle_ending
 
     stopped: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda n, _: stopped.append(n))
+    handle_ending(lambda n, _: stopped.append(n))
     return stopped
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -11,12 +10,13 @@ from typing import Any
 
 import click
 
+from surffollow.shm.ending_signals import handle_ending
+
 
 def stop_event() -> threading.Event:
-    """An event that Ctrl-C and SIGTERM set, instead of ending the process."""
+    """An event that Ctrl-C, SIGTERM and SIGHUP set, instead of ending the process."""
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    handle_ending(lambda *_: stop.set())
     return stop
 
 

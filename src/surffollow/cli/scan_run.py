@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -91,7 +90,7 @@ def run_command(
     shaper = Shaper.zvd(vertical_mode, damping) if vertical_mode > 0.0 else None
     simulated: dict[str, Any] = {"errors": None, "compliance": None} if stiff else {}
     config = ScanRobotConfig(way=way, shaper=shaper, seed=seed, **simulated)
-    with ending_signals(signal.SIGHUP) as caught:
+    with ending_signals() as caught:
         done = _execute(planned, name, config, mapped, map_file if way == "map" else None, caught, wait_s)
     from surffollow.apps.scan_figures import sensed_figures, true_figures
 

@@ -27,7 +27,10 @@ from surffollow.cli.option_types import SERVICE_NAME, Finite
     "--strict", is_flag=True, help="Refuse to start without real-time priority, locked memory, processor."
 )
 def start_command(config_path: str | None, name: str | None, quiet: bool, strict: bool) -> None:
-    """Run the service in the foreground: prints READY when robots may attach, ends on SIGTERM or Ctrl-C."""
+    """Run the service in the foreground: prints READY when robots may attach.
+
+    SIGTERM, SIGHUP and Ctrl-C end it.
+    """
     with ended_at_once_by_interrupts():
         from surffollow.service.messages import hold_standard_files
 

@@ -111,7 +111,8 @@ def simulate_command(
 ) -> None:
     """Simulate a robot that moves over rough ground and applies the service's demands.
 
-    Ends when its time or its path is over, or on Ctrl-C or SIGTERM, and prints how it kept its stand-off.
+    Ends when its time or its path is over, or on Ctrl-C, SIGTERM or SIGHUP, and prints how it kept its
+    stand-off.
     Exit code 1 when it stood still for more than a tenth of the time: there was no valid demand.
     """
     from surffollow.sim.plant import PlantConfig, load_plant
@@ -162,7 +163,7 @@ def _print_result(summary: dict[str, Any], as_json: bool) -> None:
 
 
 class _StopSignals:
-    """SIGINT and SIGTERM end the preparations at once; after the first call a call returns whether one came.
+    """SIGINT, SIGTERM and SIGHUP end the preparations at once; after the first call a call tells of them.
 
     From then on there is a block to remove: a signal interrupts nothing any more.
     """
@@ -172,7 +173,9 @@ class _StopSignals:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> _StopSignals:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        from surffollow.shm.ending_signals import ending_signals
+
+        for number in ending_signals():
             self._before[number] = signal.signal(number, self._note)
         return self
 

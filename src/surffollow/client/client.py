@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, checked_pose, checked_stamp
-from surffollow.client.reclaim import CLAIM_ANSWER_S, CLAIM_RETRY_S, POSE
+from surffollow.client.reclaim import CLAIM_ANSWER_S, POSE
 from surffollow.client.service_requests import ServiceRequests
-from surffollow.client.slot import CLAIM_PAUSE_S, GENERATION
+from surffollow.client.slot import GENERATION
 from surffollow.config.pose_limits import MAX_POSITION_M
-from surffollow.errors import BusyError, PoseError, RefusedError
+from surffollow.errors import BusyError, PoseError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.latch_shape import SLOTS, stride
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 _POST = lb.PosePost.struct_of("t_ns", "pose")
 _POSE_STRIDE = stride(lb.PosePost.SIZE)
 _MAX_SIZE2 = MAX_POSITION_M**2
-REFUSED_NS = 1_000_000_000  # so long `ee_pos` takes a refusal for the answer, without asking again
 
 
 class Client(ServiceRequests):
@@ -42,7 +41,6 @@ class Client(ServiceRequests):
     """
 
     _tool: SimulatedTool | None = None
-    _refusal, _refused_until_ns = "", 0  # of the pose
 
     # -- poses ------------------------------------------------------------------------------------
 
@@ -62,8 +60,8 @@ class Client(ServiceRequests):
             (a ValueError) not seven finite numbers, quaternion norm off by more than 1e-3,
             with a timestamp more than 1 ms ahead or older than `pose_timeout_ns`
         BusyError
-            another live client sends the pose; its process is named. Calls within 1 s of that are refused
-            at once, without asking the service; `claim_pose` asks it
+            another live client sends the pose; its process is named. The service is then asked once in 1 s,
+            without waiting, and the calls between are refused at once; `claim_pose` asks it and waits
         NotRunningError
             the service ended, or the pose is being claimed anew of one that was started again:
             call again, poses go on a few calls later
@@ -105,12 +103,7 @@ class Client(ServiceRequests):
         elif t_ns.__class__ is not int or not -FUTURE_NS <= now - t_ns <= self._pose_timeout_ns:
             t_ns = checked_stamp(t_ns, now, self._pose_timeout_ns)
         if not self._pose_held:
-            if POSE in self._had:
-                self._claim_pose_again()
-            elif now < self._refused_until_ns:
-                raise BusyError(self._refusal)
-            else:
-                self._claim_pose()
+            self._claim_in_loop(POSE, self._claim_pose)
         words, memory, index, base = self._pose_view
         g = (words[index] + 1) & GENERATION or 1  # the bytes there are untrusted
         if FENCED:
@@ -121,32 +114,15 @@ class Client(ServiceRequests):
         words[index] = g
 
     def _claim_pose(self) -> None:
-        deadline = time.monotonic() + CLAIM_RETRY_S
-        while True:
-            try:
-                patience_s = CLAIM_ANSWER_S
-                self._request(lb.RQ_CLAIM_POSE, patience_s=patience_s, stall_s=self._slot_stall_s()).result(
-                    patience_s
-                )
-                self._hold(POSE)
-                return
-            except RefusedError as e:
-                # the service looks for dead holders at its own pace: give it a few
-                if e.code != lb.ERR_POSE_HELD or time.monotonic() > deadline:
-                    held = _held(e)
-                    self._refusal, self._refused_until_ns = str(held), time.monotonic_ns() + REFUSED_NS
-                    raise held from None
-                time.sleep(CLAIM_PAUSE_S)
+        self._claim_waiting(POSE, self._ask_for_pose)
+
+    def _ask_for_pose(self) -> None:
+        stall_s = self._slot_stall_s()
+        self._request(lb.RQ_CLAIM_POSE, patience_s=CLAIM_ANSWER_S, stall_s=stall_s).result(CLAIM_ANSWER_S)
 
     def _slot_stall_s(self) -> float:
         """How long a claim that may wait waits for a slot; a service that stands still is not waited for."""
         return CLAIM_ANSWER_S if self._grant is None and self.alive() else 0.0
-
-    def _claim_pose_again(self) -> None:
-        try:
-            self._reclaim(POSE)
-        except RefusedError as e:
-            raise _held(e) from None
 
     def claim_pose(self) -> None:
         """Become the one who sends the pose, and may so set parameters; `ee_pos` does it when needed.
@@ -217,7 +193,3 @@ class Client(ServiceRequests):
     MapReset = ServiceRequests.map_reset
     MapRefocus = ServiceRequests.map_refocus
     UpLoadMap = ServiceRequests.upload_map
-
-
-def _held(refused: RefusedError) -> BusyError:
-    return BusyError(f"{refused}; end that client or let it call release_pose()")

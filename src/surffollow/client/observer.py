@@ -33,6 +33,7 @@ _EMPTY = (0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0)
 _STAMP = Output.struct_of("t_ns", "t_ns")
 _RANGE = struct.Struct("<" + Output.field("range_m").struct_format)
 REATTACH_EVERY_NS = 20_000_000
+STALE_MAX_NS, STALE_LEAST_PERIODS = 100_000_000, 3
 _observers: weakref.WeakSet[Observer] = weakref.WeakSet()
 
 
@@ -44,6 +45,12 @@ def _renew_locks() -> None:
 os.register_at_fork(after_in_child=_renew_locks)
 
 
+def stale_age_ns(periods: int, period_ns: int, min_ns: int) -> int:
+    """Age at which a demand is stale [ns]: some periods within two bounds, and never less than `min_ns`."""
+    least = min(periods, STALE_LEAST_PERIODS)
+    return max(min(periods * period_ns, STALE_MAX_NS), least * period_ns, min_ns)
+
+
 class Observer(ServiceState, MapReading, Closing):
     """A read-only attachment; it follows the service through restarts by itself.
 
@@ -52,7 +59,8 @@ class Observer(ServiceState, MapReading, Closing):
     name : str
         of the service
     stale_periods : int
-        cycles without a new output after which the demand is stale
+        cycles without a new output after which the demand is stale; 100 ms at most, or 3 cycles where
+        that is longer
     stale_min_s : float
         but never sooner than this
     owner : int or str
@@ -100,7 +108,7 @@ class Observer(ServiceState, MapReading, Closing):
     def _take(self, board: Board) -> None:
         self.board, self._ended = board, False
         offset = board.regions["output"][0]
-        self._stale_ns = max(self._stale_periods * board.period_ns, self._stale_min_ns)
+        self._stale_ns = stale_age_ns(self._stale_periods, board.period_ns, self._stale_min_ns)
         # one object, so that a thread that reads meanwhile never mixes two boards
         self._view: tuple[Any, Any, int, int, int] = (
             board.words,
@@ -109,6 +117,11 @@ class Observer(ServiceState, MapReading, Closing):
             offset + HEAD_BYTES,
             self._stale_ns,
         )
+
+    def _note_end(self, ended: bool = True) -> None:
+        """Know whether the service has ended: then its last demand is stale, however new it is."""
+        self._ended = ended
+        self._view = (*self._view[:4], -1 if ended else self._stale_ns)
 
     @property
     def epoch(self) -> int:
@@ -144,7 +157,8 @@ class Observer(ServiceState, MapReading, Closing):
         raw = self._snapshot(_HEAD.unpack_from, 0) or _EMPTY
         now = time.monotonic_ns()
         age = now - raw[0]
-        if -self._stale_ns <= age <= self._stale_ns:  # a timestamp of the future is of another clock
+        stale_ns = self._view[4]
+        if -stale_ns <= age <= stale_ns:  # a timestamp of the future is of another clock
             return Demand(raw, age, raw[8])
         self._try_reattach(now)
         return Demand(raw, age, (raw[8] & ~VALID) | STALE)
@@ -254,7 +268,7 @@ class Observer(ServiceState, MapReading, Closing):
         """Follow a silent service to its new start; False: it ended, and there is no other."""
         now = time.monotonic_ns()
         stamp = self._snapshot(_STAMP.unpack_from, 0)
-        if stamp is not None and abs(now - stamp[0]) <= self._stale_ns:
+        if stamp is not None and abs(now - stamp[0]) <= self._view[4]:
             return True
         self._try_reattach(now)
         return not self._ended
@@ -275,12 +289,12 @@ class Observer(ServiceState, MapReading, Closing):
         try:
             self._next_attach_ns = now_ns + REATTACH_EVERY_NS
             if self.board.is_current():
-                self._ended = self._has_ended()
+                self._note_end(self._has_ended())
                 return
             try:
                 board = Board(self.name, ready_timeout_s=0.0, owners=self._owners)
             except (NotRunningError, BlockError) as e:
-                self._ended = True
+                self._note_end()
                 self._refusal = "" if isinstance(e, NotRunningError | NotReadyError) else f": {e}"
                 return
             self._refusal = ""

@@ -10,9 +10,8 @@ import time
 from typing import Any
 
 from surffollow.client.fence import FENCED, fence
-from surffollow.client.reclaim import CLAIM_RETRY_S, Reclaimer
-from surffollow.client.slot import CLAIM_PAUSE_S
-from surffollow.errors import BusyError, ReadingError, RefusedError
+from surffollow.client.reclaim import Reclaimer
+from surffollow.errors import ReadingError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.units import format_ns
@@ -57,7 +56,8 @@ class RangePusher(Reclaimer):
             (a ValueError) no channel, no number, a time that is not newer, more than 1 ms
             ahead or more than 1 s ago
         BusyError
-            another live client pushes this channel; its process is named
+            another live client pushes this channel; its process is named. The service is then asked once
+            in 1 s, without waiting, and the calls between are refused at once
         RefusedError
             the service's driver takes no pushed ranges on this channel
         NotRunningError
@@ -109,24 +109,13 @@ class RangePusher(Reclaimer):
             )
         last = self._pushed.get(number)
         if last is None:
-            if (lb.RQ_CLAIM_RANGE, number) in self._had:
-                self._claim_range_again(number)
-            else:
-                self.claim_range(number)
+            self._claim_in_loop((lb.RQ_CLAIM_RANGE, number), lambda: self.claim_range(number))
         elif stamp <= last:
             raise ReadingError(
                 f"channel {number}: the range is stamped {format_ns(last - stamp)} before or with the last "
                 "one; times must ascend"
             )
         return self._pushed
-
-    def _claim_range_again(self, channel: int) -> None:
-        try:
-            self._reclaim((lb.RQ_CLAIM_RANGE, channel))
-        except RefusedError as e:
-            if e.code != lb.ERR_RANGE_HELD:
-                raise
-            raise _held(e) from None
 
     def claim_range(self, channel: int) -> None:
         """Become the one who pushes a channel's ranges; `push_range` does it when needed.
@@ -144,18 +133,11 @@ class RangePusher(Reclaimer):
             the service's driver takes no pushed ranges on this channel
         """
         self._require_service()
-        deadline = time.monotonic() + CLAIM_RETRY_S
-        while channel not in self._pushed:
-            try:
-                self._request(lb.RQ_CLAIM_RANGE, numbers=(channel,), n=1, patience_s=1.0).result(1.0)
-                self._hold((lb.RQ_CLAIM_RANGE, channel))
-            except RefusedError as e:
-                # the service looks for dead holders at its own pace: give it a few
-                if e.code != lb.ERR_RANGE_HELD:
-                    raise
-                if time.monotonic() > deadline:
-                    raise _held(e) from None
-                time.sleep(CLAIM_PAUSE_S)
+        if channel not in self._pushed:
+            self._claim_waiting((lb.RQ_CLAIM_RANGE, channel), lambda: self._ask_for_range(channel))
+
+    def _ask_for_range(self, channel: int) -> None:
+        self._request(lb.RQ_CLAIM_RANGE, numbers=(channel,), n=1, patience_s=1.0).result(1.0)
 
     def release_range(self, channel: int) -> None:
         """Let another client push a channel's ranges.
@@ -170,10 +152,6 @@ class RangePusher(Reclaimer):
             self._request(lb.RQ_RELEASE_RANGE, numbers=(channel,), n=1, patience_s=1.0).result(1.0)
             self._pushed.pop(channel, None)
         self._had.discard((lb.RQ_CLAIM_RANGE, channel))
-
-
-def _held(refused: RefusedError) -> BusyError:
-    return BusyError(f"{refused}; end that client or let it call release_range()")
 
 
 def _unusable(channel: Any, t_ns: Any, range_m: Any) -> ReadingError:

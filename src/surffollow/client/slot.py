@@ -11,6 +11,7 @@ from typing import Any
 
 from surffollow.client.board import CLOSED
 from surffollow.client.observer import Observer
+from surffollow.client.refusal import Refusal
 from surffollow.client.requests import Ticket
 from surffollow.client.slot_request import SlotGrant, SlotRequest
 from surffollow.errors import (
@@ -63,6 +64,7 @@ class SlotHolder(Observer):
         self._open: list[Ticket] = []
         self._posting = False
         self._had: set[tuple[int, int]] = set()  # claims once held, not given back: renewed without waiting
+        self._refusals: dict[tuple[int, int], Refusal] = {}
         self._pose_held, self._pose_held_ns = False, 0
         self._next_look_ns = self._next_life_ns = 0
         super().__init__(name, stale_periods=stale_periods, stale_min_s=stale_min_s, owner=owner)
@@ -125,6 +127,8 @@ class SlotHolder(Observer):
         try:
             grant = self._asking.step()
         except BaseException:
+            if self._asking.is_deserted:
+                self._note_end()
             self._asking = None
             raise
         if grant is not None:
@@ -156,6 +160,8 @@ class SlotHolder(Observer):
         self._range_view: tuple[Any, Any] = (self._in_words, self._in)
         self._next_look_ns = self._next_life_ns = 0
         self._grant = grant
+        if self._ended:
+            self._note_end(False)
 
     def _reattached(self) -> None:
         self._release_slot()  # a request asks the new service for one; a call for a demand never waits for it

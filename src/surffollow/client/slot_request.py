@@ -66,6 +66,7 @@ class SlotRequest:
         self._deadline = time.monotonic() + timeout_s
         self._memory: mmap.mmap | None = None
         self._connected, self._slot, self._claim = False, -1, 0
+        self.is_deserted = False  # no process listens on the socket
         self._sock = new_socket()
         self._sock.setblocking(False)
         refuse_rights(self._sock)  # until it is known who listens
@@ -93,7 +94,11 @@ class SlotRequest:
 
     def _step(self) -> SlotGrant | None:
         if not self._connected:
-            self._connected = _connect(self._sock, self.board)
+            try:
+                self._connected = _connect(self._sock, self.board)
+            except NotReadyError:
+                self.is_deserted = True
+                raise
             if self._connected:
                 _send(self._sock, self.board, lb.SLOT_ASK, 0, 0, self._label)
         if self._connected and self._memory is None and (offer := _receive(self._sock)) is not None:

@@ -103,7 +103,7 @@ class PolledDriver:
         self._queue: ConversionQueue | None = None
         self._fault = ""
         self._connected = False
-        self._received_ns = self._read_ns = 0
+        self._received_ns = self._good_ns = 0  # `_good_ns` 0: no conversion came yet
         self._rejected_before = 0
         self.conversions = self.connections = 0
 
@@ -134,7 +134,7 @@ class PolledDriver:
         if self._thread is not None:
             raise DriverError(f"driver '{self._source.name}' was started twice; stop it first")
         self._end.clear()
-        self._fault, self._received_ns = "", time.monotonic_ns()
+        self._fault, self._received_ns, self._good_ns = "", time.monotonic_ns(), 0
         self._queue, writer = queue, RangeWriter(queue, self._info)
         self._thread = threading.Thread(target=self._run, args=(writer,), name="sensor", daemon=True)
         self._thread.start()
@@ -159,12 +159,15 @@ class PolledDriver:
         if state == WAITING:
             return [f"{name}: {self._fault or 'not connected yet'}; it is tried again every {RETRY_S:g} s"]
         if state in (SILENT, GARBLED):
-            since = format_ns(time.monotonic_ns() - self._received_ns)
+            now_ns = time.monotonic_ns()
             if state == SILENT:
+                since = format_ns(now_ns - self._received_ns)
                 return [f"{name}: connected, but nothing was received for {since}"]
+            since = format_ns(now_ns - self._good_ns)
+            good = f"the last good one {since} ago" if self._good_ns else "none good"
             return [
-                f"{name}: what arrives is not taken ({self._source.rejected} pieces rejected, the last good "
-                f"one {since} ago); {getattr(self._source, 'rejection', REJECTION)}"
+                f"{name}: what arrives is not taken ({self._source.rejected} pieces rejected, {good}); "
+                f"{getattr(self._source, 'rejection', REJECTION)}"
             ]
         return []
 
@@ -199,7 +202,7 @@ class PolledDriver:
             for t_ns, word in self._source.read(POLL_S):
                 writer.push_word(t_ns, word)
                 self.conversions += 1
-                self._received_ns = time.monotonic_ns()
+                self._received_ns = self._good_ns = time.monotonic_ns()
                 self._rejected_before = self._source.rejected
 
 

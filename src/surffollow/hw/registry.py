@@ -72,6 +72,7 @@ KINDS: dict[str, Factory] = {
     "iio": _lazily("wire.iio"),
     "can": _lazily("wire.can_bus"),
     "udp": _lazily("wire.udp"),
+    "unix": _lazily("wire.unix_socket"),
     "external": _lazily("external"),
 }
 

@@ -119,6 +119,9 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_MAX_GRID_M 10000.0
 #define SF_REATTACH_EVERY_NS 20000000
 #define SF_LOOK_EVERY_NS 100000000
+#define SF_STALE_MAX_NS 100000000
+#define SF_STALE_LEAST_PERIODS 3
+#define SF_REFUSED_NS 1000000000
 #define SF_SLOT_WAIT_NS 3000000000
 #define SF_EXCHANGE_NS 1000000000
 #define SF_POSE_FUTURE_NS 1000000
@@ -867,7 +870,7 @@ typedef struct sf_map_header {
   int64_t tile_shift; /* dirty tiles are squares of 2^tile_shift grids */
   int64_t tiles_x; /* dirty tiles per row of tiles */
   double region_m[4]; /* [m] the user's region: x_min, y_min, x_max, y_max */
-  int64_t params_hash; /* of the service's parameters in force; 0: it ended in good order */
+  int64_t params_hash; /* of the service's parameters in force; 0: its end was requested, and nobody held the pose */
   SF_ALIGNAS(64) double finest_grid_m; /* [m] finest grid that position accuracy allows */
   int64_t rounding; /* ROUND_UNBIASED or ROUND_PAPER */
   double gate_m; /* [m] samples farther from the grid's mean are outliers; 0: no gate */
@@ -1191,7 +1194,8 @@ typedef struct sf_options {
   int observe;          /* 1: read only; no slot, no write permission needed */
   int auto_reattach;    /* 1: every call looks for a restarted service itself (system calls, every
                            20 ms while stale); 0: call sf_reattach where it suits */
-  int64_t stale_periods; /* cycles of silence after which demands become zero ... */
+  int64_t stale_periods; /* cycles of silence after which demands become zero: at most SF_STALE_MAX_NS, or
+                            SF_STALE_LEAST_PERIODS of them where that is longer ... */
   int64_t stale_min_ns;  /* ... but never sooner than this */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
   int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this) */
@@ -1214,6 +1218,12 @@ typedef struct sf_i_claiming {
   int64_t counter, claim, asked_ns; /* counter 0: none */
 } sf_i_claiming;
 
+/* Another client holds the pose or a channel: a control loop asks again at `until_ns`. */
+typedef struct sf_i_refusal {
+  int64_t until_ns, pause_ns; /* 0: not refused */
+  int64_t pid;
+} sf_i_refusal;
+
 /* A client; the caller's memory, filled by sf_attach. Only the first group is for reading. */
 typedef struct sf_client {
   int64_t epoch;     /* of the service attached to; changes when it was restarted */
@@ -1235,7 +1245,8 @@ typedef struct sf_client {
   int had_pose, had_ranges; /* what it once held, ranges a bit per channel: claimed anew without waiting */
   sf_i_asking asking;
   sf_i_claiming claiming;
-  int ended; /* at the last look the service was silent and its process gone */
+  sf_i_refusal pose_refusal, range_refusals[SF_CHANNELS];
+  int ended; /* at the last look the service was silent and its process gone, or its socket refused */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
   sf_object world;  /* of sf_sim_pose */
@@ -1244,7 +1255,10 @@ typedef struct sf_client {
   int64_t pushed_ns[SF_CHANNELS]; /* time of the newest range of a channel held */
 } sf_client;
 
-/* The defaults: a client, re-attaching, stale after 20 periods but not before 5 ms, requests wait 5 s. */
+/*
+ * The defaults: a client, re-attaching, stale after min(20 periods, 100 ms) but not before 3 periods and 5 ms,
+ * requests wait 5 s.
+ */
 static inline sf_options sf_default_options(void) {
   sf_options o;
   memset(&o, 0, sizeof o);
@@ -1255,6 +1269,14 @@ static inline sf_options sf_default_options(void) {
   o.timeout_ns = 5000000000;
   o.owner = SF_OWNER_DEFAULT;
   return o;
+}
+
+/* Age at which a demand is stale: docs/reference/protocol.md, "Poses and demands". */
+static inline int64_t sf_i_stale_ns(const sf_options *o, int64_t period_ns) {
+  const int64_t n = o->stale_periods, least = n < SF_STALE_LEAST_PERIODS ? n : SF_STALE_LEAST_PERIODS;
+  int64_t age_ns = n < SF_STALE_MAX_NS / period_ns ? n * period_ns : SF_STALE_MAX_NS;
+  if (age_ns < least * period_ns) age_ns = least * period_ns;
+  return age_ns < o->stale_min_ns ? o->stale_min_ns : age_ns;
 }
 
 static inline int sf_i_name_ok(const char *name) {
@@ -1463,8 +1485,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   c->next_look_ns = c->next_life_ns = 0;
   c->epoch = h->epoch;
   c->period_ns = h->period_ns;
-  c->stale_ns = c->options.stale_periods * h->period_ns;
-  if (c->stale_ns < c->options.stale_min_ns) c->stale_ns = c->options.stale_min_ns;
+  c->stale_ns = sf_i_stale_ns(&c->options, h->period_ns);
   if (!sf_i_is_current(c, ".map", &c->map)) {
     sf_object map; /* without it only the map's functions fail */
     sf_i_close(&c->map);
@@ -1534,7 +1555,10 @@ static inline int sf_i_connect(sf_client *c) {
   if (connect(fd, SF_VIEW(const struct sockaddr *, &address), SF_CAST(socklen_t, sizeof address)) != 0) {
     const int number = errno;
     if (number == EINTR || number == EAGAIN) return SF_PENDING;
-    if (number == ENOENT || number == ECONNREFUSED) return SF_ERR_NOT_READY;
+    if (number == ENOENT || number == ECONNREFUSED) {
+      c->ended = 1; /* known before its demand is old */
+      return SF_ERR_NOT_READY;
+    }
     if (number == EPROTOTYPE || number == ENOTSOCK) return SF_ERR_BLOCK;
     return sf_i_errno(c, number);
   }
@@ -1682,6 +1706,7 @@ static inline int sf_i_step_to_slot(sf_client *c) {
   c->asking.memory = NULL; /* they are the slot's from here on */
   c->asking.fd = -1;
   c->counter = 0;
+  c->ended = 0;
   c->pose_held = c->abandoned = c->ranges_held = 0;
   c->claiming.counter = 0;
   c->grant = 0;
@@ -1903,9 +1928,10 @@ static inline void sf_i_reattach_sometimes(sf_client *c, int64_t now_ns) {
   if (c->options.auto_reattach) sf_i_look_again(c, now_ns);
 }
 
-/* Whether nothing was published for so long, or nothing at all. */
+/* Whether nothing was published for so long, or nothing at all, or the service is known to have ended. */
 static inline int sf_i_is_silent(const sf_client *c, int64_t now_ns) {
   int64_t t_ns;
+  if (c->ended) return 1;
   if (sf_latch_read_part(c->output, sizeof(sf_output), offsetof(sf_output, t_ns), 1, &t_ns) <= 0) return 1;
   return now_ns - t_ns > c->stale_ns || t_ns - now_ns > c->stale_ns;
 }
@@ -1945,7 +1971,7 @@ static inline int sf_i_demand(const sf_client *c, sf_demand *d, int64_t *now_ns)
   *now_ns = now;
   d->age_ns = now - d->t_ns;
   /* a timestamp of the future is of another clock: the age of the demand is unknown */
-  if (d->age_ns <= c->stale_ns && d->age_ns >= -c->stale_ns && g > 0) {
+  if (d->age_ns <= c->stale_ns && d->age_ns >= -c->stale_ns && g > 0 && !c->ended) {
     if (d->status & SF_VALID) return SF_OK;
   } else {
     d->status = (d->status & ~SF_CAST(int64_t, SF_VALID)) | SF_STALE;
@@ -2133,8 +2159,15 @@ static inline int sf_sf_reset(sf_client *c, double offset_m) {
   return sf_i_request(c, SF_RQ_SF_RESET, 1, NULL, &offset_m, c->options.timeout_ns);
 }
 
+#define SF_I_CLAIM_PAUSE_NS 20000000 /* the first pause behind a refusal; the later ones double */
+
+static inline sf_i_refusal *sf_i_refusal_of(sf_client *c, int64_t code, int64_t channel) {
+  return code == SF_RQ_CLAIM_POSE ? &c->pose_refusal : &c->range_refusals[channel];
+}
+
 /* The pose (SF_RQ_CLAIM_POSE) or a channel (SF_RQ_CLAIM_RANGE) is this client's. */
 static inline void sf_i_hold(sf_client *c, int64_t code, int64_t channel) {
+  memset(sf_i_refusal_of(c, code, channel), 0, sizeof(sf_i_refusal));
   if (code == SF_RQ_CLAIM_POSE) {
     c->pose_held = c->had_pose = 1;
     c->pose_held_ns = sf_now_ns();
@@ -2175,20 +2208,63 @@ static inline int sf_i_reclaim(sf_client *c, int64_t code, int64_t channel, int6
   return SF_ERR_NOT_RUNNING;
 }
 
+/*
+ * Claim what another client may hold, and wait for the answer. The service looks for dead holders at its own pace: it
+ * is given 0.3 s.
+ */
+static inline int sf_i_claim(sf_client *c, int64_t code, int64_t channel) {
+  const int64_t deadline = sf_now_ns() + 300000000;
+  int64_t pause_ns = SF_I_CLAIM_PAUSE_NS;
+  for (;;) {
+    const int result =
+        sf_i_ask(c, code, code == SF_RQ_CLAIM_RANGE, &channel, NULL, c->options.timeout_ns, 0);
+    const int64_t now = sf_now_ns();
+    if (result == SF_OK) sf_i_hold(c, code, channel);
+    if (result != SF_REFUSED_POSE_HELD && result != SF_REFUSED_RANGE_HELD) return result;
+    if (now >= deadline) {
+      sf_i_refusal *refusal = sf_i_refusal_of(c, code, channel);
+      refusal->pause_ns = SF_REFUSED_NS;
+      refusal->until_ns = now + SF_REFUSED_NS;
+      refusal->pid = c->detail;
+      return result;
+    }
+    sf_sleep_until_ns(now + pause_ns < deadline ? now + pause_ns : deadline);
+    pause_ns *= 2;
+  }
+}
+
 /* Become the one who sends the pose; sf_ee_pos does it when needed. Waits for the service's answer. */
 static inline int sf_claim_pose(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   if (c->pose_held) return SF_OK;
-  const int64_t now = sf_now_ns(), deadline = now + 300000000;
+  const int64_t now = sf_now_ns();
   if (c->output != NULL && !c->options.observe && c->slot_memory == NULL && c->options.auto_reattach && sf_alive(c))
     (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is reported below */
-  for (;;) {
-    const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_POSE, 0);
-    /* the service looks for dead holders at its own pace: give it a few */
-    if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
-    sf_sleep_until_ns(sf_now_ns() + 20000000);
+  return sf_i_claim(c, SF_RQ_CLAIM_POSE, 0);
+}
+
+/*
+ * One step in a control loop towards the pose or a channel: the first claim waits (`had`: it was held before), no later
+ * one does. While another client holds it the service is asked once in SF_REFUSED_NS, and the calls between are refused.
+ */
+static inline int sf_i_claim_in_loop(sf_client *c, int64_t code, int64_t channel, int had, int64_t now_ns) {
+  sf_i_refusal *refusal = sf_i_refusal_of(c, code, channel);
+  const int held = code == SF_RQ_CLAIM_POSE ? SF_REFUSED_POSE_HELD : SF_REFUSED_RANGE_HELD;
+  if (now_ns < refusal->until_ns) {
+    c->detail = refusal->pid;
+    return held;
   }
+  if (!had && refusal->pause_ns == 0) return code == SF_RQ_CLAIM_POSE ? sf_claim_pose(c) : sf_i_claim(c, code, channel);
+  const int result = sf_i_reclaim(c, code, channel, now_ns);
+  if (result == held) {
+    const int64_t pause_ns = refusal->pause_ns > 0 ? 2 * refusal->pause_ns : SF_I_CLAIM_PAUSE_NS;
+    refusal->pause_ns = pause_ns < SF_REFUSED_NS ? pause_ns : SF_REFUSED_NS;
+    refusal->until_ns = now_ns + refusal->pause_ns;
+    refusal->pid = c->detail;
+  }
+  if (result != SF_ERR_NOT_RUNNING || refusal->pause_ns == 0 || c->claiming.counter == 0) return result;
+  c->detail = refusal->pid; /* the service is there and has not answered yet */
+  return held;
 }
 
 /* Let another client send the pose. */
@@ -2228,6 +2304,7 @@ static inline void sf_i_look_at_slot(sf_client *c, int64_t now_ns) {
   if (c->slot_memory == NULL) return;
   if (!sf_i_slot_is_open(c)) { /* the service took it back: the next pose or request asks for another */
     sf_i_release_slot(c);
+    if (!c->options.auto_reattach) c->ended = sf_i_has_ended(c); /* nothing asks for another one */
     return;
   }
   const size_t words = offsetof(sf_main_thread_state, pose_pid) / 8;
@@ -2253,7 +2330,8 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
  * (sf_claim_pose does that beforehand). No later one waits, in any state of the service or its socket, and none makes
  * a system call but the clock's unless the service is silent or its slot is lost.
  * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended, or slot and pose are being asked
- * for anew of one that was started again: call again), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.
+ * for anew of one that was started again: call again), or SF_REFUSED_POSE_HELD with the holder's pid in the client's
+ * `detail`: the service is then asked again once in SF_REFUSED_NS, without waiting.
  */
 static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (c == NULL || c->output == NULL || pose == NULL) return SF_ERR_ARGUMENT;
@@ -2267,7 +2345,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
   if (!c->pose_held) {
-    const int claimed = c->had_pose ? sf_i_reclaim(c, SF_RQ_CLAIM_POSE, 0, now) : sf_claim_pose(c);
+    const int claimed = sf_i_claim_in_loop(c, SF_RQ_CLAIM_POSE, 0, c->had_pose, now);
     if (claimed != SF_OK) return claimed;
   }
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);
@@ -2287,15 +2365,7 @@ static inline double sf_no_reading(void) {
 static inline int sf_claim_range(sf_client *c, int channel) {
   if (c == NULL || channel < 0 || channel >= SF_CHANNELS) return SF_ERR_ARGUMENT;
   if (c->ranges_held >> channel & 1) return SF_OK;
-  const int64_t number = channel;
-  const int64_t deadline = sf_now_ns() + 300000000;
-  for (;;) {
-    const int result = sf_i_ask(c, SF_RQ_CLAIM_RANGE, 1, &number, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_RANGE, channel);
-    /* the service looks for dead holders at its own pace: give it a few */
-    if (result != SF_REFUSED_RANGE_HELD || sf_now_ns() > deadline) return result;
-    sf_sleep_until_ns(sf_now_ns() + 20000000);
-  }
+  return sf_i_claim(c, SF_RQ_CLAIM_RANGE, channel);
 }
 
 /* Let another client push a channel's ranges. */
@@ -2316,7 +2386,7 @@ static inline int sf_release_range(sf_client *c, int channel) {
  * clock's unless the service is silent or its slot is lost.
  * SF_OK, SF_ERR_RANGE_TIME, _ARGUMENT, _OBSERVER, _NOT_RUNNING (it ended, or slot and channel are being asked for
  * anew of one that was started again: call again); SF_REFUSED_RANGE_HELD with the holder's pid in
- * the client's `detail`; SF_REFUSED_NO_CHANNEL: the service's driver takes no pushed ranges on this channel.
+ * the client's `detail`, and the service is asked again once in SF_REFUSED_NS, without waiting; SF_REFUSED_NO_CHANNEL: the service's driver takes no pushed ranges on this channel.
  */
 static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double range_m) {
   if (c == NULL || c->output == NULL || channel < 0 || channel >= SF_CHANNELS) return SF_ERR_ARGUMENT;
@@ -2326,8 +2396,7 @@ static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double 
   if (t_ns == SF_NOW) t_ns = now;
   if (t_ns > now + SF_RANGE_FUTURE_NS || t_ns < now - SF_RANGE_OLDEST_NS) return SF_ERR_RANGE_TIME;
   if ((c->ranges_held >> channel & 1) == 0) {
-    const int claimed = c->had_ranges >> channel & 1 ? sf_i_reclaim(c, SF_RQ_CLAIM_RANGE, channel, now)
-                                                     : sf_claim_range(c, channel);
+    const int claimed = sf_i_claim_in_loop(c, SF_RQ_CLAIM_RANGE, channel, c->had_ranges >> channel & 1, now);
     if (claimed != SF_OK) return claimed;
   }
   if (t_ns <= c->pushed_ns[channel]) return SF_ERR_RANGE_TIME;

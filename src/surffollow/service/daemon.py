@@ -27,20 +27,23 @@ from surffollow.service.cycle import run_cycles
 from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.heartbeat import FAULT_CYCLE_STALLED, Heartbeat
 from surffollow.service.initialise import (
+    forget_parameters,
     initialise_constants,
     initialise_log,
     initialise_memory,
     make_change_queue,
     make_sample_ring,
-    stop_after_death,
+    stop_after_end,
 )
 from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.messages import STDOUT, Messages
+from surffollow.service.mount_notes import MountWatch
 from surffollow.service.notify import CompileProgress, sd_notify
 from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.service.slot_server import SlotServer
 from surffollow.shm import layout_board as lb
+from surffollow.shm.ending_signals import handle_ending
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_follow import Output
 from surffollow.shm.python_atomics import load_acquire, store_release
@@ -87,8 +90,15 @@ class Daemon:
             self._changes = make_change_queue(self.mem)
             self._driver_watch = DriverWatch(self.driver)
             self._slots = self._make_slot_server()
+            self._mounts = MountWatch(self.mem.params, self.driver.info)
             self._heartbeat = Heartbeat(
-                self.objects, self.mem.ctx, self._driver_watch, self.grants, self._slots, self.messages
+                self.objects,
+                self.mem.ctx,
+                self._driver_watch,
+                self.grants,
+                self._slots,
+                self.messages,
+                self._mounts,
             )
             self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         except BaseException:
@@ -126,6 +136,8 @@ class Daemon:
             self._await_first_cycles()
             self._prioritise_cycle(threads[0])
             self._require_realtime(realtime.FIFO | realtime.AFFINITY | realtime.MLOCKALL)
+            for note in self._mounts.notes():
+                self.messages.report(note)
             self.objects.set_state(lb.STATE_READY)
             sd_notify(f"READY=1\nSTATUS=cycle {self.mem.ctx[m.PERIOD_NS] / 1e6:g} ms")
             if on_ready is not None:
@@ -159,10 +171,10 @@ class Daemon:
                 run_cycles(self.mem, 0, 0)
                 # the paper's initialisation of the forecast is SFReset itself
                 sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
-                died, self._in_force = stop_after_death(self.mem, self.objects), True
-                if died:
+                differ, self._in_force = stop_after_end(self.mem, self.objects), True
+                if differ:
                     self.messages.report(
-                        "the service before died with other parameters in force: stopped until the pose's "
+                        "the service before ended with other parameters in force: stopped until the pose's "
                         "holder has set its own and resets the stop"
                     )
                 if not side.wait(progress.waiting, self._wake):
@@ -187,8 +199,7 @@ class Daemon:
 
     def _take_signals(self) -> None:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGTERM, signal.SIGINT):
-                signal.signal(number, lambda *_: self._on_signal())
+            handle_ending(lambda *_: self._on_signal())
             signal.signal(signal.SIGIO, signal.SIG_IGN)  # a process opened memory that is being examined
 
     def _on_signal(self) -> None:
@@ -279,15 +290,16 @@ class Daemon:
         self.mem.output[0]["status"] = 0
         self.mem.output[0]["demand"] = 0.0
         latch_write(self.objects.address("output"), self.mem.output.ctypes.data, Output.SIZE)
-        if self._in_force and wait_readable(self._wake, 0.0):  # the stop was requested: no fault ended it
-            self.objects.map_header[0]["params_hash"] = 0
+        if self._in_force and wait_readable(self._wake, 0.0):  # the end was requested: no fault caused it
+            self._serve()  # clients that have left meanwhile hold nothing
+            forget_parameters(self.mem, self.objects)
         self._heartbeat.end()
         self.objects.set_state(lb.STATE_STOPPED)
         run("letting the clients go", self._slots.close, None)
 
 
 def serve(config: ServiceConfig, quiet: bool = False) -> None:
-    """Run a service in the foreground until SIGTERM or SIGINT."""
+    """Run a service in the foreground until SIGTERM, SIGINT or SIGHUP."""
     messages = Messages().start()
     interrupted: list[int] = []
 

@@ -12,6 +12,7 @@ from surffollow.service.audit import AuditTrail
 from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.housekeeping import Guard
 from surffollow.service.messages import Messages
+from surffollow.service.mount_notes import MountWatch
 from surffollow.service.realtime import Grants
 from surffollow.service.shared_objects import SharedObjects
 from surffollow.service.slot_server import SlotServer
@@ -39,6 +40,7 @@ class Heartbeat:
     grants : Grants          what the kernel granted
     server : SlotServer      who holds which slot
     messages : Messages      lines of text
+    mounts : MountWatch      knows whether the mounts give a surface normal
 
     Attributes
     ----------
@@ -53,8 +55,10 @@ class Heartbeat:
         grants: Grants,
         server: SlotServer,
         messages: Messages,
+        mounts: MountWatch,
     ) -> None:
         self._objects, self._ctx, self._watch, self._grants = objects, ctx, watch, grants
+        self._mounts = mounts
         self._server, self._messages, self.guard = server, messages, Guard(messages.report)
         self._audit = AuditTrail(objects, ctx, server.table.named, messages.report)
         self._published = zeros(lb.MainThreadState)
@@ -77,7 +81,7 @@ class Heartbeat:
         causes = STOP_DRIVER if driver_faults else 0
         store_release(self._ctx.ctypes.data + 8 * m.STOP_ASKED, causes)
         self.guard.run("the audit trail", self._audit.publish, None)
-        notes = [*self._watch.notes(), *window_notes(self._ctx)]
+        notes = [*self._watch.notes(), *window_notes(self._ctx), *self._mounts.notes()]
         texts = [*driver_faults, *notes, *self._grants.refused, *self.guard.texts()]
         if self._server.failures:
             faults |= FAULT_SLOTS

@@ -109,11 +109,12 @@ def _begin_stopped(mem: m.CycleMemory, config: ServiceConfig, objects: SharedObj
     mem.state[0]["stop"] = causes | (stop_causes(config.stop.on) & STOP_START)
 
 
-def stop_after_death(mem: m.CycleMemory, objects: SharedObjects) -> bool:
-    """Stop when the service before died with other parameters in force than those of this start.
+def stop_after_end(mem: m.CycleMemory, objects: SharedObjects) -> bool:
+    """Stop when the service before ended with other parameters in force than those of this start.
 
     Its clients attach to this one by themselves; without the stop the robot would move to another stand-off,
-    within other limits, without a request.
+    within other limits, without a request. A requested end without a robot leaves no parameters behind
+    (`forget_parameters`).
     """
     kept = objects.map_header[0]
     differ = int(kept["params_hash"]) not in (0, int(params_hash(mem)))
@@ -121,6 +122,20 @@ def stop_after_death(mem: m.CycleMemory, objects: SharedObjects) -> bool:
         mem.state[0]["stop"] |= STOP_RESTART
         kept["stop"] = mem.state[0]["stop"]  # before the hash is that of this start
     return differ
+
+
+def forget_parameters(mem: m.CycleMemory, objects: SharedObjects) -> bool:
+    """At a requested end: the next start need not stop where no client that is there holds the pose.
+
+    Returns
+    -------
+    bool  whether the parameters are forgotten
+    """
+    slot = int(mem.ctx[m.POSE_SLOT])
+    held = slot >= 0 and mem.ctx[m.CLAIM + slot] == mem.ctx[m.POSE_CLAIM]
+    if not held:
+        objects.map_header[0]["params_hash"] = 0
+    return not held
 
 
 def make_change_queue(mem: m.CycleMemory) -> NDArray[Any]:

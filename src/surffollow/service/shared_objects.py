@@ -31,6 +31,7 @@ from surffollow.shm.name_lock import NameLock
 from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.process import boot_id, own_pid, start_ticks
 from surffollow.shm.received_descriptors import Disposal
+from surffollow.shm.refused_files import REFUSALS, refused_file
 from surffollow.shm.unix_socket import listen, socket_path
 
 
@@ -155,10 +156,8 @@ def _listen(config: ServiceConfig, group: int) -> socket.socket:
     try:
         return listen(path, mode(config.access.socket_mode, "access.socket_mode"), group, BACKLOG)
     except OSError as e:
-        if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
-            raise NoSpaceError(
-                f"cannot listen on {path}: {e}; /dev/shm takes no more files (df -i /dev/shm)"
-            ) from None
+        if e.errno in REFUSALS and e.errno != errno.EPERM and not os.path.lexists(path):  # EPERM: the group
+            raise refused_file(f"the socket {path}", e, path.parent) from None
         kind = NoPermissionError if e.errno in (errno.EPERM, errno.EACCES) else BlockError
         raise kind(f"cannot listen on {path}: {e}; look at it (ls -l {path}) and remove it") from None
 

@@ -80,11 +80,11 @@ class SlotServer:
                 return wait_readable(wake, left)
             pause = min(left, _RENEW_S) if self.table.retiring else left
             events = self._epoll.poll(pause, 16)
-            if any(fd == wake for fd, _ in events):
-                return True
             for fd, mask in sorted(events, key=self._comes_later):  # leaving clients make room for new ones
                 events_left -= 1
                 self._guard(self._on_event, fd, mask)
+            if any(fd == wake for fd, _ in events):
+                return True
             self._guard(self._housekeeping)
             self._guard(self._disposal.look)
         return False

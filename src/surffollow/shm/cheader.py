@@ -55,6 +55,11 @@ _SLOT_WORDS = (
 STALE = 1 << 16
 REATTACH_EVERY_NS = 20_000_000
 LOOK_EVERY_NS = 100_000_000
+# a demand is stale after the configured number of periods, but after this time at the latest: a period of
+# 1 s would keep the demand of a dead service for 20 s; it lives for some periods in any case
+STALE_MAX_NS = 100_000_000
+STALE_LEAST_PERIODS = 3
+REFUSED_NS = 1_000_000_000  # between two requests of a control loop for what another client holds
 SLOT_WAIT_NS = 3_000_000_000  # for attach to get a slot
 EXCHANGE_NS = 1_000_000_000  # for one exchange, or the answer to a claim of the pose; then it is begun anew
 POSE_FUTURE_NS = 1_000_000
@@ -157,6 +162,9 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "MAX_GRID_M", str(ml.MAX_GRID_M)
     yield "REATTACH_EVERY_NS", str(REATTACH_EVERY_NS)
     yield "LOOK_EVERY_NS", str(LOOK_EVERY_NS)
+    yield "STALE_MAX_NS", str(STALE_MAX_NS)
+    yield "STALE_LEAST_PERIODS", str(STALE_LEAST_PERIODS)
+    yield "REFUSED_NS", str(REFUSED_NS)
     yield "SLOT_WAIT_NS", str(SLOT_WAIT_NS)
     yield "EXCHANGE_NS", str(EXCHANGE_NS)
     yield "POSE_FUTURE_NS", str(POSE_FUTURE_NS)

@@ -57,7 +57,7 @@ STOP_POSE_LOST = 1 << 5  # the pose's holder died, or left its slot without givi
 STOP_DRIVER = 1 << 6  # the driver reports a fault
 STOP_START = 1 << 7  # the service started: the first demand waits for a reset
 assert 1 << STOP_NAMES.index("start") == STOP_START
-STOP_RESTART = 1 << 8  # it died with other parameters in force than it has now
+STOP_RESTART = 1 << 8  # it ended with other parameters in force than it has now
 assert 1 << STOP_NAMES.index("restart") == STOP_RESTART
 STOP_DESCENT = 1 << 9  # adaptive: the tool descends steeply, and the range stays too long
 assert 1 << STOP_NAMES.index("descent") == STOP_DESCENT

@@ -213,6 +213,8 @@ def _waits() -> dict[str, int]:
     return {
         "stale_periods": STALE_PERIODS,
         "stale_min_ns": STALE_MIN_NS,
+        "stale_max_ns": cheader.STALE_MAX_NS,
+        "stale_least_periods": cheader.STALE_LEAST_PERIODS,
         "reattach_every_ns": cheader.REATTACH_EVERY_NS,
         "look_every_ns": cheader.LOOK_EVERY_NS,
         "pose_future_ns": cheader.POSE_FUTURE_NS,

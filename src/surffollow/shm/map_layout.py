@@ -73,7 +73,9 @@ class MapHeader(Schema):
     tile_shift = I64(doc="dirty tiles are squares of 2^tile_shift grids")
     tiles_x = I64(doc="dirty tiles per row of tiles")
     region_m = F64(4, unit="m", doc="the user's region: x_min, y_min, x_max, y_max")
-    params_hash = I64(doc="of the service's parameters in force; 0: it ended in good order")
+    params_hash = I64(
+        doc="of the service's parameters in force; 0: its end was requested, and nobody held the pose"
+    )
 
     finest_grid_m = F64(align=64, unit="m", doc="finest grid that position accuracy allows")
     rounding = I64(doc="ROUND_UNBIASED or ROUND_PAPER")

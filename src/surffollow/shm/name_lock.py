@@ -12,11 +12,12 @@ import time
 from collections.abc import Iterator
 
 from surffollow.config.trusted_users import UNMAPPED_USER, own_user
-from surffollow.errors import BlockError, NoPermissionError, NoSpaceError
+from surffollow.errors import BlockError, NoPermissionError
 from surffollow.shm.checked_open import open_plain
 from surffollow.shm.locks import FileLock
 from surffollow.shm.objects import SHM_ROOT
 from surffollow.shm.process import belongs_to, is_running, own_pid, start_ticks
+from surffollow.shm.refused_files import REFUSALS, refused_file
 
 ENDING = ".lock"
 _BYTE = 0
@@ -123,15 +124,16 @@ def _open_own(name: str) -> int:
         return -1
     except BlockError:
         raise
-    except PermissionError:
-        raise NoPermissionError(
-            f"the lock file {path} belongs to user {lock_owner(name)}, expected user {me}: only its owner "
-            f"may hold the name {name!r}; {remedy}"
-        ) from None
     except OSError as e:
-        raise NoSpaceError(
-            f"cannot make the lock file {path}: {e}; /dev/shm takes no more files (df -i /dev/shm)"
-        ) from None
+        owner = lock_owner(name)
+        if isinstance(e, PermissionError) and owner >= 0:
+            raise NoPermissionError(
+                f"the lock file {path} belongs to user {owner}, expected user {me}: only its owner may hold "
+                f"the name {name!r}; {remedy}"
+            ) from None
+        if e.errno not in REFUSALS:
+            raise BlockError(f"cannot open the lock file {path}: {e}; {remedy}") from None
+        raise refused_file(f"the lock file {path}", e, SHM_ROOT) from None
     why = ""
     if status.st_uid != me:
         why = f"belongs to user {status.st_uid}, expected user {me}"

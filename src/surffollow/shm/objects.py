@@ -20,6 +20,7 @@ from surffollow.errors import (
     NotRunningError,
 )
 from surffollow.shm.checked_open import open_plain
+from surffollow.shm.refused_files import REFUSALS, amount, refused_file
 
 SHM_ROOT = Path("/dev/shm")
 
@@ -75,8 +76,9 @@ class SharedObject:
         try:
             fd = os.open(SHM_ROOT, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
         except OSError as e:
-            kind = NoPermissionError if e.errno in (errno.EPERM, errno.EACCES, errno.EROFS) else BlockError
-            raise kind(f"cannot create shared-memory object {name!r} in {SHM_ROOT}: {e}") from None
+            if e.errno in REFUSALS:
+                raise refused_file(f"shared-memory object {name!r}", e, SHM_ROOT) from None
+            raise BlockError(f"cannot create shared-memory object {name!r} in {SHM_ROOT}: {e}") from None
         made: SharedObject | None = None
         try:
             reserve(name, fd, size)
@@ -97,6 +99,8 @@ class SharedObject:
                 raise
             if e.errno == errno.EEXIST:
                 raise ExistsError(f"shared-memory object {name!r} exists already") from None
+            if e.errno in (errno.ENOSPC, errno.EDQUOT):  # the name needs a place in the folder
+                raise refused_file(f"shared-memory object {name!r}", e, SHM_ROOT) from None
             if e.errno in (errno.EPERM, errno.EACCES):
                 raise NoPermissionError(f"cannot give {name!r} mode {mode:o} and group {group}: {e}") from e
             raise BlockError(f"cannot map shared-memory object {name!r} of {size} bytes: {e}") from e
@@ -186,7 +190,7 @@ def reserve(name: str, fd: int, size: int) -> None:
     # without this a full /dev/shm shows itself as SIGBUS in the middle of a cycle
     room = os.statvfs(SHM_ROOT)
     free = room.f_bavail * room.f_frsize
-    need = f"object {name!r} needs {size / 2**20:.1f} MiB and /dev/shm has {free / 2**20:.1f} MiB free"
+    need = f"object {name!r} needs {amount(size)} and /dev/shm has {amount(free)} free"
     remedy = f"make it larger (mount -o remount,size=... /dev/shm) or {_less(name)}"
     if size > free:
         raise NoSpaceError(f"{need}; {remedy}")
@@ -196,7 +200,7 @@ def reserve(name: str, fd: int, size: int) -> None:
     except OSError as e:
         if e.errno == errno.EFBIG:
             raise NoSpaceError(
-                f"object {name!r} needs {size / 2**20:.1f} MiB, more than this process may write to one "
+                f"object {name!r} needs {amount(size)}, more than this process may write to one "
                 "file; raise the limit (ulimit -f, LimitFSIZE=)"
             ) from None
         if e.errno in (errno.ENOSPC, errno.ENOMEM, errno.EDQUOT):

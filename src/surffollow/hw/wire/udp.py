@@ -1,9 +1,9 @@
-"""Sensors that send datagrams (kind = "udp"): one or several frames, or lines, in each."""
+"""Sensors that send datagrams over a network (kind = "udp"): one or several frames, or lines, in each."""
 
 from __future__ import annotations
 
+import ipaddress
 import socket
-import time
 from typing import Any
 
 import msgspec
@@ -12,14 +12,15 @@ from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import Driver, DriverInfo
 from surffollow.hw.polled import PolledDriver
 from surffollow.hw.range_settings import RangeSettings
-from surffollow.hw.ranges import pack_range
+from surffollow.hw.wire.datagrams import DATAGRAM_BYTES, Datagrams, DatagramSource, bind_socket
 from surffollow.hw.wire.frame_format import Format, Number, reader_of
-from surffollow.hw.wire.frames import FrameFinder, make_finder
-from surffollow.shm.readable import wait_readable
 
-DATAGRAM_BYTES = 65536
-AT_ONCE = 64  # datagrams taken in one read
-_FORMAT = "check format and checksum"
+ANY = "any"
+# a program gives its datagrams any address of its machine (IP_PKTINFO), also when another one is bound to it
+_OWN = (
+    "is an address of this machine, in whose name every local user can send; let the program send to a Unix "
+    'socket (kind = "unix") or push its ranges (kind = "external"), or admit every sender (sender = "any")'
+)
 
 
 class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
@@ -29,7 +30,8 @@ class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
     ----------
     port : to listen on
     host : address to listen on; "0.0.0.0": every one
-    sender : who is listened to: "address:port", "address" (every program there), or "any"
+    sender : who is listened to: "address:port", "address" (every program there), or "any"; an address of
+        another machine
     format : see `frame_format.Format`; a datagram holds whole frames or lines; a line may lack its terminator
     sequence : where a datagram's number is, if it is there; older ones than the last are dropped
     channels : sensors in the datagrams
@@ -51,102 +53,70 @@ class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
                 'sender is missing: a sender of ranges moves the robot; write "address:port" of the '
                 'sensor, "address" for every program there, or "any"'
             )
-        port = self.sender.partition(":")[2]
-        if ":" in self.sender and not (port.isdigit() and 0 < int(port) <= 65535):
-            raise ConfigError(f"sender = {self.sender!r}, expected a port from 1 to 65535 after the colon")
+        if self.sender != ANY:
+            self._check_sender()
         if self.sequence is not None:
             reader_of(self.sequence, self.format.length, "sequence")
 
+    def _check_sender(self) -> None:
+        host, colon, port = self.sender.partition(":")
+        if colon and not (port.isdigit() and 0 < int(port) <= 65535):
+            raise ConfigError(f"sender = {self.sender!r}, expected a port from 1 to 65535 after the colon")
+        try:
+            address = ipaddress.IPv4Address(host)
+        except ValueError:
+            raise ConfigError(
+                f"sender = {self.sender!r}, expected an IPv4 address like 192.168.0.7 before the port: names "
+                f"are not looked up; write the sensor's address (getent ahostsv4 {host})"
+            ) from None
+        if address.is_unspecified or address.is_multicast:
+            raise ConfigError(f"sender = {self.sender!r}: no datagram comes from {address}")
+        if address.is_loopback:
+            raise ConfigError(f"sender = {self.sender!r}: {address} {_OWN}")
 
-class UdpSource:
+
+class _Received:
+    """Datagrams of one bound port; see `datagrams.Datagrams`."""
+
+    def __init__(self, opened: socket.socket, sender: str) -> None:
+        self.socket, self._sender = opened, sender
+
+    def receive(self) -> tuple[bytes, str]:
+        """The next datagram, and why its sender is refused."""
+        data, (address, port) = self.socket.recvfrom(DATAGRAM_BYTES)
+        if self._sender in (ANY, address, f"{address}:{port}"):
+            return data, ""
+        return data, f"datagrams come from {address}:{port}, expected from {self._sender}"
+
+
+class UdpSource(DatagramSource):
     """The socket; see `polled.Source`."""
 
     def __init__(self, config: UdpConfig, info: DriverInfo) -> None:
-        self.name = f"UDP port {config.host}:{config.port}"
+        super().__init__(f"UDP port {config.host}:{config.port}", config, info)
         self.port = config.port  # the one that was given, where 0 was asked for
-        self.rejected = self.missing = 0
-        self.rejection = _FORMAT
-        self._config, self._info = config, info
-        self._finder = make_finder(config.format)
-        self._end = config.format.terminator.encode()
-        self._socket: socket.socket | None = None
-        self._number: int | None = None
-        self._sequence = (
-            reader_of(config.sequence, config.format.length, "sequence") if config.sequence else None
-        )
+        self._config = config
 
-    def open(self) -> None:
-        """Bind the socket."""
+    def bind(self) -> Datagrams:
+        """Bind the port; an address of this machine identifies no sender."""
+        sender = self._config.sender
+        host = sender.partition(":")[0]
+        if sender != ANY and is_own_address(host):
+            raise DriverError(f"sender = {sender!r}: {host} {_OWN}")
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            opened.bind((self._config.host, self._config.port))
-        except OSError as error:
-            opened.close()
-            raise DriverError(f"cannot listen there: {error.strerror}") from error
-        opened.setblocking(False)
+        bind_socket(opened, (self._config.host, self._config.port))
         self.port = opened.getsockname()[1]
-        self._socket, self._number = opened, None
+        return _Received(opened, sender)
 
-    def read(self, timeout_s: float) -> list[tuple[int, int]]:
-        """Conversions, with their datagram's arrival as timestamp."""
-        assert self._socket is not None
-        if not wait_readable(self._socket.fileno(), timeout_s):
-            return []
-        out: list[tuple[int, int]] = []
-        for _ in range(AT_ONCE):
-            try:
-                data, (address, port) = self._socket.recvfrom(DATAGRAM_BYTES)
-            except BlockingIOError:
-                break
-            now_ns = time.monotonic_ns()
-            if self._config.sender not in ("any", address, f"{address}:{port}"):
-                self._reject(f"datagrams come from {address}:{port}, expected from {self._config.sender}")
-                continue
-            found = self._measurements(data)
-            if not found or not self._is_next(data):
-                continue
-            for channel, range_m in found:
-                if channel < self._config.channels:
-                    out.append((now_ns, pack_range(self._info, channel, range_m)))
-        return out
 
-    def _reject(self, why: str) -> None:
-        self.rejected, self.rejection = self.rejected + 1, why
-
-    def _is_next(self, data: bytes) -> bool:
-        """Whether a datagram is newer than the last one; how many are missing between them is counted."""
-        if self._sequence is None or self._config.sequence is None:
-            return True
-        number = int(self._sequence.unpack_from(data, self._config.sequence.offset)[0])
-        span = 1 << 8 * self._sequence.size
-        ahead = (number - self._number) % span if self._number is not None else 1
-        if not 0 < ahead < span // 2:
-            self._reject("datagrams repeat or go back in sequence; check the setting sequence")
+def is_own_address(host: str) -> bool:
+    """Whether an address is one of this machine: only such a one can be bound."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((host, 0))
+        except OSError:
             return False
-        self.missing += ahead - 1
-        self._number = number
-        return True
-
-    def _measurements(self, data: bytes) -> list[tuple[int, float | None]]:
-        """Conversions of a datagram, or nothing when any of it is no frame."""
-        finder = self._finder
-        if isinstance(finder, FrameFinder):
-            n = self._config.format.length
-            pieces = [data[k : k + n] for k in range(0, len(data), n)]
-        else:
-            pieces = [p for p in data.split(self._end) if p]
-        found = [finder.parse(piece) for piece in pieces]
-        good = [f for f in found if f is not None]
-        if len(good) < len(found) or not found:
-            self._reject(_FORMAT)
-            return []
-        return good
-
-    def close(self) -> None:
-        """Close the socket."""
-        opened, self._socket = self._socket, None
-        if opened is not None:
-            opened.close()
+    return True
 
 
 def make(settings: dict[str, Any], name: str) -> Driver:

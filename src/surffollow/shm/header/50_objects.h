@@ -18,7 +18,8 @@ typedef struct sf_options {
   int observe;          /* 1: read only; no slot, no write permission needed */
   int auto_reattach;    /* 1: every call looks for a restarted service itself (system calls, every
                            20 ms while stale); 0: call sf_reattach where it suits */
-  int64_t stale_periods; /* cycles of silence after which demands become zero ... */
+  int64_t stale_periods; /* cycles of silence after which demands become zero: at most SF_STALE_MAX_NS, or
+                            SF_STALE_LEAST_PERIODS of them where that is longer ... */
   int64_t stale_min_ns;  /* ... but never sooner than this */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
   int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this) */
@@ -41,6 +42,12 @@ typedef struct sf_i_claiming {
   int64_t counter, claim, asked_ns; /* counter 0: none */
 } sf_i_claiming;
 
+/* Another client holds the pose or a channel: a control loop asks again at `until_ns`. */
+typedef struct sf_i_refusal {
+  int64_t until_ns, pause_ns; /* 0: not refused */
+  int64_t pid;
+} sf_i_refusal;
+
 /* A client; the caller's memory, filled by sf_attach. Only the first group is for reading. */
 typedef struct sf_client {
   int64_t epoch;     /* of the service attached to; changes when it was restarted */
@@ -62,7 +69,8 @@ typedef struct sf_client {
   int had_pose, had_ranges; /* what it once held, ranges a bit per channel: claimed anew without waiting */
   sf_i_asking asking;
   sf_i_claiming claiming;
-  int ended; /* at the last look the service was silent and its process gone */
+  sf_i_refusal pose_refusal, range_refusals[SF_CHANNELS];
+  int ended; /* at the last look the service was silent and its process gone, or its socket refused */
   int64_t grant;    /* number of the newest grant of the map to this attachment */
   int access_depth; /* sf_access_begin that were not ended */
   sf_object world;  /* of sf_sim_pose */
@@ -71,7 +79,10 @@ typedef struct sf_client {
   int64_t pushed_ns[SF_CHANNELS]; /* time of the newest range of a channel held */
 } sf_client;
 
-/* The defaults: a client, re-attaching, stale after 20 periods but not before 5 ms, requests wait 5 s. */
+/*
+ * The defaults: a client, re-attaching, stale after min(20 periods, 100 ms) but not before 3 periods and 5 ms,
+ * requests wait 5 s.
+ */
 static inline sf_options sf_default_options(void) {
   sf_options o;
   memset(&o, 0, sizeof o);
@@ -82,6 +93,14 @@ static inline sf_options sf_default_options(void) {
   o.timeout_ns = 5000000000;
   o.owner = SF_OWNER_DEFAULT;
   return o;
+}
+
+/* Age at which a demand is stale: docs/reference/protocol.md, "Poses and demands". */
+static inline int64_t sf_i_stale_ns(const sf_options *o, int64_t period_ns) {
+  const int64_t n = o->stale_periods, least = n < SF_STALE_LEAST_PERIODS ? n : SF_STALE_LEAST_PERIODS;
+  int64_t age_ns = n < SF_STALE_MAX_NS / period_ns ? n * period_ns : SF_STALE_MAX_NS;
+  if (age_ns < least * period_ns) age_ns = least * period_ns;
+  return age_ns < o->stale_min_ns ? o->stale_min_ns : age_ns;
 }
 
 static inline int sf_i_name_ok(const char *name) {
@@ -290,8 +309,7 @@ static inline int sf_i_open_board(sf_client *c, int64_t wait_ns) {
   c->next_look_ns = c->next_life_ns = 0;
   c->epoch = h->epoch;
   c->period_ns = h->period_ns;
-  c->stale_ns = c->options.stale_periods * h->period_ns;
-  if (c->stale_ns < c->options.stale_min_ns) c->stale_ns = c->options.stale_min_ns;
+  c->stale_ns = sf_i_stale_ns(&c->options, h->period_ns);
   if (!sf_i_is_current(c, ".map", &c->map)) {
     sf_object map; /* without it only the map's functions fail */
     sf_i_close(&c->map);

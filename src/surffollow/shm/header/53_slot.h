@@ -54,7 +54,10 @@ static inline int sf_i_connect(sf_client *c) {
   if (connect(fd, SF_VIEW(const struct sockaddr *, &address), SF_CAST(socklen_t, sizeof address)) != 0) {
     const int number = errno;
     if (number == EINTR || number == EAGAIN) return SF_PENDING;
-    if (number == ENOENT || number == ECONNREFUSED) return SF_ERR_NOT_READY;
+    if (number == ENOENT || number == ECONNREFUSED) {
+      c->ended = 1; /* known before its demand is old */
+      return SF_ERR_NOT_READY;
+    }
     if (number == EPROTOTYPE || number == ENOTSOCK) return SF_ERR_BLOCK;
     return sf_i_errno(c, number);
   }
@@ -202,6 +205,7 @@ static inline int sf_i_step_to_slot(sf_client *c) {
   c->asking.memory = NULL; /* they are the slot's from here on */
   c->asking.fd = -1;
   c->counter = 0;
+  c->ended = 0;
   c->pose_held = c->abandoned = c->ranges_held = 0;
   c->claiming.counter = 0;
   c->grant = 0;

@@ -165,9 +165,10 @@ static inline void sf_i_reattach_sometimes(sf_client *c, int64_t now_ns) {
   if (c->options.auto_reattach) sf_i_look_again(c, now_ns);
 }
 
-/* Whether nothing was published for so long, or nothing at all. */
+/* Whether nothing was published for so long, or nothing at all, or the service is known to have ended. */
 static inline int sf_i_is_silent(const sf_client *c, int64_t now_ns) {
   int64_t t_ns;
+  if (c->ended) return 1;
   if (sf_latch_read_part(c->output, sizeof(sf_output), offsetof(sf_output, t_ns), 1, &t_ns) <= 0) return 1;
   return now_ns - t_ns > c->stale_ns || t_ns - now_ns > c->stale_ns;
 }

@@ -26,7 +26,7 @@ static inline int sf_i_demand(const sf_client *c, sf_demand *d, int64_t *now_ns)
   *now_ns = now;
   d->age_ns = now - d->t_ns;
   /* a timestamp of the future is of another clock: the age of the demand is unknown */
-  if (d->age_ns <= c->stale_ns && d->age_ns >= -c->stale_ns && g > 0) {
+  if (d->age_ns <= c->stale_ns && d->age_ns >= -c->stale_ns && g > 0 && !c->ended) {
     if (d->status & SF_VALID) return SF_OK;
   } else {
     d->status = (d->status & ~SF_CAST(int64_t, SF_VALID)) | SF_STALE;

@@ -113,8 +113,15 @@ static inline int sf_sf_reset(sf_client *c, double offset_m) {
   return sf_i_request(c, SF_RQ_SF_RESET, 1, NULL, &offset_m, c->options.timeout_ns);
 }
 
+#define SF_I_CLAIM_PAUSE_NS 20000000 /* the first pause behind a refusal; the later ones double */
+
+static inline sf_i_refusal *sf_i_refusal_of(sf_client *c, int64_t code, int64_t channel) {
+  return code == SF_RQ_CLAIM_POSE ? &c->pose_refusal : &c->range_refusals[channel];
+}
+
 /* The pose (SF_RQ_CLAIM_POSE) or a channel (SF_RQ_CLAIM_RANGE) is this client's. */
 static inline void sf_i_hold(sf_client *c, int64_t code, int64_t channel) {
+  memset(sf_i_refusal_of(c, code, channel), 0, sizeof(sf_i_refusal));
   if (code == SF_RQ_CLAIM_POSE) {
     c->pose_held = c->had_pose = 1;
     c->pose_held_ns = sf_now_ns();
@@ -155,20 +162,63 @@ static inline int sf_i_reclaim(sf_client *c, int64_t code, int64_t channel, int6
   return SF_ERR_NOT_RUNNING;
 }
 
+/*
+ * Claim what another client may hold, and wait for the answer. The service looks for dead holders at its own pace: it
+ * is given 0.3 s.
+ */
+static inline int sf_i_claim(sf_client *c, int64_t code, int64_t channel) {
+  const int64_t deadline = sf_now_ns() + 300000000;
+  int64_t pause_ns = SF_I_CLAIM_PAUSE_NS;
+  for (;;) {
+    const int result =
+        sf_i_ask(c, code, code == SF_RQ_CLAIM_RANGE, &channel, NULL, c->options.timeout_ns, 0);
+    const int64_t now = sf_now_ns();
+    if (result == SF_OK) sf_i_hold(c, code, channel);
+    if (result != SF_REFUSED_POSE_HELD && result != SF_REFUSED_RANGE_HELD) return result;
+    if (now >= deadline) {
+      sf_i_refusal *refusal = sf_i_refusal_of(c, code, channel);
+      refusal->pause_ns = SF_REFUSED_NS;
+      refusal->until_ns = now + SF_REFUSED_NS;
+      refusal->pid = c->detail;
+      return result;
+    }
+    sf_sleep_until_ns(now + pause_ns < deadline ? now + pause_ns : deadline);
+    pause_ns *= 2;
+  }
+}
+
 /* Become the one who sends the pose; sf_ee_pos does it when needed. Waits for the service's answer. */
 static inline int sf_claim_pose(sf_client *c) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   if (c->pose_held) return SF_OK;
-  const int64_t now = sf_now_ns(), deadline = now + 300000000;
+  const int64_t now = sf_now_ns();
   if (c->output != NULL && !c->options.observe && c->slot_memory == NULL && c->options.auto_reattach && sf_alive(c))
     (void)sf_i_claim_slot(c, now + SF_EXCHANGE_NS); /* an error of it is reported below */
-  for (;;) {
-    const int result = sf_i_ask(c, SF_RQ_CLAIM_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_POSE, 0);
-    /* the service looks for dead holders at its own pace: give it a few */
-    if (result != SF_REFUSED_POSE_HELD || sf_now_ns() > deadline) return result;
-    sf_sleep_until_ns(sf_now_ns() + 20000000);
+  return sf_i_claim(c, SF_RQ_CLAIM_POSE, 0);
+}
+
+/*
+ * One step in a control loop towards the pose or a channel: the first claim waits (`had`: it was held before), no later
+ * one does. While another client holds it the service is asked once in SF_REFUSED_NS, and the calls between are refused.
+ */
+static inline int sf_i_claim_in_loop(sf_client *c, int64_t code, int64_t channel, int had, int64_t now_ns) {
+  sf_i_refusal *refusal = sf_i_refusal_of(c, code, channel);
+  const int held = code == SF_RQ_CLAIM_POSE ? SF_REFUSED_POSE_HELD : SF_REFUSED_RANGE_HELD;
+  if (now_ns < refusal->until_ns) {
+    c->detail = refusal->pid;
+    return held;
   }
+  if (!had && refusal->pause_ns == 0) return code == SF_RQ_CLAIM_POSE ? sf_claim_pose(c) : sf_i_claim(c, code, channel);
+  const int result = sf_i_reclaim(c, code, channel, now_ns);
+  if (result == held) {
+    const int64_t pause_ns = refusal->pause_ns > 0 ? 2 * refusal->pause_ns : SF_I_CLAIM_PAUSE_NS;
+    refusal->pause_ns = pause_ns < SF_REFUSED_NS ? pause_ns : SF_REFUSED_NS;
+    refusal->until_ns = now_ns + refusal->pause_ns;
+    refusal->pid = c->detail;
+  }
+  if (result != SF_ERR_NOT_RUNNING || refusal->pause_ns == 0 || c->claiming.counter == 0) return result;
+  c->detail = refusal->pid; /* the service is there and has not answered yet */
+  return held;
 }
 
 /* Let another client send the pose. */
@@ -208,6 +258,7 @@ static inline void sf_i_look_at_slot(sf_client *c, int64_t now_ns) {
   if (c->slot_memory == NULL) return;
   if (!sf_i_slot_is_open(c)) { /* the service took it back: the next pose or request asks for another */
     sf_i_release_slot(c);
+    if (!c->options.auto_reattach) c->ended = sf_i_has_ended(c); /* nothing asks for another one */
     return;
   }
   const size_t words = offsetof(sf_main_thread_state, pose_pid) / 8;
@@ -233,7 +284,8 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
  * (sf_claim_pose does that beforehand). No later one waits, in any state of the service or its socket, and none makes
  * a system call but the clock's unless the service is silent or its slot is lost.
  * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended, or slot and pose are being asked
- * for anew of one that was started again: call again), or SF_REFUSED_POSE_HELD with the holder's pid in the client's `detail`.
+ * for anew of one that was started again: call again), or SF_REFUSED_POSE_HELD with the holder's pid in the client's
+ * `detail`: the service is then asked again once in SF_REFUSED_NS, without waiting.
  */
 static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (c == NULL || c->output == NULL || pose == NULL) return SF_ERR_ARGUMENT;
@@ -247,7 +299,7 @@ static inline int sf_ee_pos(sf_client *c, const double pose[7], int64_t t_ns) {
   if (post.t_ns > now + SF_POSE_FUTURE_NS) return SF_ERR_POSE_FUTURE;
   if (post.t_ns < now - c->pose_timeout_ns) return SF_ERR_POSE_OLD;
   if (!c->pose_held) {
-    const int claimed = c->had_pose ? sf_i_reclaim(c, SF_RQ_CLAIM_POSE, 0, now) : sf_claim_pose(c);
+    const int claimed = sf_i_claim_in_loop(c, SF_RQ_CLAIM_POSE, 0, c->had_pose, now);
     if (claimed != SF_OK) return claimed;
   }
   sf_latch_write(c->slot_memory + SF_SLOT_POSE, sizeof post, &post);

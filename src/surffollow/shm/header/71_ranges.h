@@ -12,15 +12,7 @@ static inline double sf_no_reading(void) {
 static inline int sf_claim_range(sf_client *c, int channel) {
   if (c == NULL || channel < 0 || channel >= SF_CHANNELS) return SF_ERR_ARGUMENT;
   if (c->ranges_held >> channel & 1) return SF_OK;
-  const int64_t number = channel;
-  const int64_t deadline = sf_now_ns() + 300000000;
-  for (;;) {
-    const int result = sf_i_ask(c, SF_RQ_CLAIM_RANGE, 1, &number, NULL, c->options.timeout_ns, 0);
-    if (result == SF_OK) sf_i_hold(c, SF_RQ_CLAIM_RANGE, channel);
-    /* the service looks for dead holders at its own pace: give it a few */
-    if (result != SF_REFUSED_RANGE_HELD || sf_now_ns() > deadline) return result;
-    sf_sleep_until_ns(sf_now_ns() + 20000000);
-  }
+  return sf_i_claim(c, SF_RQ_CLAIM_RANGE, channel);
 }
 
 /* Let another client push a channel's ranges. */
@@ -41,7 +33,7 @@ static inline int sf_release_range(sf_client *c, int channel) {
  * clock's unless the service is silent or its slot is lost.
  * SF_OK, SF_ERR_RANGE_TIME, _ARGUMENT, _OBSERVER, _NOT_RUNNING (it ended, or slot and channel are being asked for
  * anew of one that was started again: call again); SF_REFUSED_RANGE_HELD with the holder's pid in
- * the client's `detail`; SF_REFUSED_NO_CHANNEL: the service's driver takes no pushed ranges on this channel.
+ * the client's `detail`, and the service is asked again once in SF_REFUSED_NS, without waiting; SF_REFUSED_NO_CHANNEL: the service's driver takes no pushed ranges on this channel.
  */
 static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double range_m) {
   if (c == NULL || c->output == NULL || channel < 0 || channel >= SF_CHANNELS) return SF_ERR_ARGUMENT;
@@ -51,8 +43,7 @@ static inline int sf_push_range(sf_client *c, int channel, int64_t t_ns, double 
   if (t_ns == SF_NOW) t_ns = now;
   if (t_ns > now + SF_RANGE_FUTURE_NS || t_ns < now - SF_RANGE_OLDEST_NS) return SF_ERR_RANGE_TIME;
   if ((c->ranges_held >> channel & 1) == 0) {
-    const int claimed = c->had_ranges >> channel & 1 ? sf_i_reclaim(c, SF_RQ_CLAIM_RANGE, channel, now)
-                                                     : sf_claim_range(c, channel);
+    const int claimed = sf_i_claim_in_loop(c, SF_RQ_CLAIM_RANGE, channel, c->had_ranges >> channel & 1, now);
     if (claimed != SF_OK) return claimed;
   }
   if (t_ns <= c->pushed_ns[channel]) return SF_ERR_RANGE_TIME;
