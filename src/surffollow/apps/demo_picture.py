@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from surffollow.apps.demo_task import DemoConfig
-from surffollow.errors import FaultError, UsageError
+from surffollow.errors import FaultError, UsageError, install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.sim.world_surface import world_surface
 
-_NO_MATPLOTLIB = "drawing needs matplotlib: pip install 'surffollow[plot]', or use --json without --picture"
+_NO_MATPLOTLIB = f"drawing needs matplotlib: {install_command('plot')}, or use --json without --picture"
 _INK, _BLUE, _ORANGE, _SAND = "#22303c", "#2b7bba", "#d9772b", "#e9dfcf"
 
 

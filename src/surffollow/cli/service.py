@@ -134,6 +134,6 @@ def running_pid(name: str) -> int:
 
 def purge_leftovers(name: str) -> bool:
     """Remove the map, and what a killed service left of its board and socket."""
-    from surffollow.service.shared_objects import purge_map
+    from surffollow.service.name_owner import purge_map
 
     return purge_map(name)

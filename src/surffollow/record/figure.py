@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import FaultError, UsageError
+from surffollow.errors import FaultError, UsageError, install_command
 from surffollow.map.formats.atomic_file import replacing
 
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -59,7 +59,7 @@ def check_figure(path: str | Path) -> None:
     if Path(path).suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: figures end in {', '.join(SUFFIXES)}; choose one of them")
     if find_spec("matplotlib") is None:
-        raise FaultError("drawing needs matplotlib: install the extra 'plot' (surffollow[plot])")
+        raise FaultError(f"drawing needs matplotlib: {install_command('plot')}")
 
 
 def new_figure(size_in: tuple[float, float] = A4_IN) -> Any:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.errors import ScanFileError
+from surffollow.errors import ScanFileError, install_command
 from surffollow.scan.camera import Camera
 from surffollow.scan.checks import Floats, plain_file
 
@@ -132,7 +132,7 @@ def _tiff(path: Path) -> tuple[Floats, str]:
         import rasterio
         from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
     except ImportError as e:
-        raise ScanFileError("TIFF images need rasterio: install the extra 'geo' (surffollow[geo])") from e
+        raise ScanFileError(f"TIFF images need rasterio: {install_command('geo')}") from e
     import warnings
 
     try:
