@@ -102,7 +102,11 @@ def c_struct(schema: type[Schema], prefix: str = "sf_", text_note: str = "") -> 
     name = c_name(schema, prefix)
     text = "layout of " + name
     lines = [f"/* {_ascii((schema.__doc__ or '').strip().splitlines()[0])} */"] if schema.__doc__ else []
-    lines += [f"typedef struct {name} {{", *(_member(f, prefix, text_note) for f in schema.FIELDS), f"}} {name};"]
+    lines += [
+        f"typedef struct {name} {{",
+        *(_member(f, prefix, text_note) for f in schema.FIELDS),
+        f"}} {name};",
+    ]
     lines.append(f'SF_STATIC_ASSERT(sizeof({name}) == {schema.SIZE}, "{text}");')
     lines += [f'SF_STATIC_ASSERT(offsetof({name}, {f.name}) == {f.offset}, "{text}");' for f in schema.FIELDS]
     return "\n".join(lines) + "\n"
