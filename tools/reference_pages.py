@@ -73,7 +73,8 @@ def c_page() -> str:
     text = """# C interface
 
 This page is for programmers of controllers in C and C++. It lists the functions of the two headers,
-and those of the headers that `surffollow blocks print-header` prints. `python tools/write_docs.py` writes it from the headers.
+and those of the headers that `surffollow blocks print-header` prints.
+`python tools/write_docs.py` writes it from the headers.
 
 `surffollow --includedir` prints the folder of the headers; there is nothing to link. Structures are in the
 [layout](layout.md), the order of calls is in the [tutorial](../tutorials/c-loop.md).

@@ -180,12 +180,10 @@ def test_a_damaged_image_is_refused_wherever_the_damage_is(survey, tmp_path):
 @pytest.mark.parametrize("values", [np.ones((4, 4), complex), np.full((4, 4), "1.0"), np.zeros(4, "f8,f8")])
 def test_an_image_of_other_than_real_numbers_is_refused_without_a_warning(survey, tmp_path, values):
     np.savez(tmp_path / "view0.npz", depth_m=values)
-    with (
-        warnings.catch_warnings(),
-        pytest.raises(ScanFileError, match=r"depth_m of .* expected real numbers"),
-    ):
+    with warnings.catch_warnings():
         warnings.simplefilter("error")
-        read_images([tmp_path / "view0.npz"], survey / "cameras.toml")
+        with pytest.raises(ScanFileError, match=r"depth_m of .* expected real numbers"):
+            read_images([tmp_path / "view0.npz"], survey / "cameras.toml")
 
 
 def test_an_interrupt_leaves_the_old_map(survey, tmp_path):

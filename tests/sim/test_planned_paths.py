@@ -34,9 +34,10 @@ def test_a_damaged_path_and_one_of_complex_numbers_are_refused_without_a_warning
     with pytest.raises(UsageError, match="is no NPZ file of numbers"):
         read_path_table(str(file))
     np.savez(file, x_m=np.ones(3, complex), y_m=np.zeros(3))
-    with warnings.catch_warnings(), pytest.raises(UsageError, match="is no NPZ file of numbers"):
+    with warnings.catch_warnings():
         warnings.simplefilter("error")
-        read_path_table(str(file))
+        with pytest.raises(UsageError, match="is no NPZ file of numbers"):
+            read_path_table(str(file))
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz"])

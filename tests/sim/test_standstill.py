@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-
 from robots import FLAT, MS, START, Demand, PerfectService, drive
+
 from surffollow.config.stop_causes import STOP_NAMES
 from surffollow.errors import RefusedError
 from surffollow.sim.robot import RobotCore

@@ -29,7 +29,7 @@ class ServiceName(click.ParamType):  # type: ignore[type-arg]  # generic only in
 
 
 class InputFile(click.Path):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
-    """A file to read. One that is not there is a fault (exit code 1), as with a recording, and no wrong usage."""
+    """A file to read. One that is not there is a fault (exit code 1) and no wrong usage."""
 
     def __init__(self, path_type: type | None = None) -> None:
         super().__init__(exists=True, dir_okay=False, path_type=path_type)
