@@ -297,7 +297,7 @@ def missing_library(error: ModuleNotFoundError) -> str:
 
 
 def install_command(extra: str) -> str:
-    """What installs an extra: from a checkout, not under a name of a package index.
+    """Command that installs an extra from a checkout, not under a name of a package index.
 
     Parameters
     ----------
