@@ -137,8 +137,8 @@ class ReplayedDriver:
         except Exception:  # messages of numpy, zip and JSON about foreign bytes do not help
             raise RecordingError(
                 f"'{path}' is no recording of conversions, or is cut short; a replay driver's file is an "
-                ".npz with t_ns and range_m, or the one that hw.replayed.save_conversions writes (drivers.md, "
-                f"Replay; a recorder's .mcap plays with `surffollow replay {path} --live`)"
+                ".npz with t_ns and range_m, or the one that hw.replayed.save_conversions writes "
+                f"(drivers.md, Replay; a recorder's .mcap plays with `surffollow replay {path} --live`)"
             ) from None
         if info is None:
             return _of_ranges(path, given, config)

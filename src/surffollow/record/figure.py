@@ -103,7 +103,7 @@ def spans(t: NDArray[np.float64], where: NDArray[np.bool_]) -> list[tuple[float,
 
 
 def shade(ax: Any, found: list[tuple[float, float]], color: str, label: str) -> None:
-    """Shade spans of time; one entry in the legend.
+    """Shade spans of time; one entry in the legend. A span narrower than a line is drawn as one.
 
     Parameters
     ----------
@@ -118,7 +118,9 @@ def shade(ax: Any, found: list[tuple[float, float]], color: str, label: str) -> 
     # one collection: thousands of spans take a minute one by one
     corners = [((a, 0.0), (a, 1.0), (b, 1.0), (b, 0.0)) for a, b in found]
     place = ax.get_xaxis_transform()
-    spans_drawn = PolyCollection(corners, facecolor=color, lw=0, zorder=0, label=label, transform=place)
+    spans_drawn = PolyCollection(
+        corners, facecolor=color, edgecolor=color, lw=1.0, zorder=0, label=label, transform=place
+    )
     ax.add_collection(spans_drawn, autolim=False)
 
 
