@@ -52,6 +52,19 @@ def test_help_needs_nothing_heavy(arguments):
     assert heavy(modules_after(code, *arguments)) == []
 
 
+@pytest.mark.parametrize("more", [[], ["--json"], ["--purge"]])
+def test_a_client_installation_stops_services(more):
+    code = (
+        "from surffollow.cli.main import main\n"
+        "sys.modules.update(dict.fromkeys(('numpy', 'msgspec', 'numba')))  # an import of one fails\n"
+        "try:\n    main(['stop', '--name', 'no-such-service', *sys.argv[1:]])\n"
+        "except SystemExit as e:\n    assert e.code == 1, e.code\n"
+        "assert 'surffollow.service.stale_objects' in sys.modules\n"
+        "for name in ('numpy', 'msgspec', 'numba'):\n    del sys.modules[name]"
+    )
+    assert heavy(modules_after(code, *more)) == []
+
+
 @pytest.mark.parametrize(
     ("command", "limit_s"),
     [(["-m", "surffollow", "--help"], 0.3), (["-c", "import surffollow.client"], 0.15)],

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import click
 
+from surffollow.blocks.cheader import reader_text
+from surffollow.blocks.cwriter import writer_text
 from surffollow.cli.main import cli
 
 INCLUDE = Path(__file__).parents[1] / "src" / "surffollow" / "include"
 FUNCTION = re.compile(
-    r"(?:^/\*\n((?: \*.*\n)+?) \*/\n|^/\* ([^\n]*?) \*/\n)"
-    r"^static inline ([^{;]*?\b(sfa?_\w+)\([^{;]*?\))\s*[{;]",
-    re.MULTILINE,
+    r"^/\*((?:[^*]|\*(?!/))*)\*/\n^static inline ([^{;]*?\b(sf[ab]?_\w+)\([^{;]*?\))\s*[{;]", re.MULTILINE
 )
 
 
@@ -50,29 +50,37 @@ With `--json` an error is one JSON object on stdout: `error` (its text), `kind` 
     return text
 
 
-def functions(header: str) -> Iterator[tuple[str, str, str]]:
-    """Public functions of a header: name, declaration, comment."""
+def functions(header: str, prefix: str) -> Iterator[tuple[str, str, str]]:
+    """Public functions of a header's text: name, declaration, comment."""
     seen = set()
-    for long, short, declaration, name in FUNCTION.findall((INCLUDE / header).read_text(encoding="utf-8")):
-        if name in seen or name.startswith(("sf_i_", "sfa_i_")):
+    for comment, declaration, name in FUNCTION.findall(header):
+        if name in seen or not name.startswith(prefix) or name.startswith(prefix + "i_"):
             continue
         seen.add(name)
-        comment = "\n".join(line[3:] for line in long.splitlines()) if long else short
-        yield name, " ".join(declaration.split()), comment
+        lines = [line.removeprefix(" *").removeprefix(" ").rstrip() for line in comment.splitlines()]
+        yield name, " ".join(declaration.split()), "\n".join(lines).strip()
+
+
+def headers() -> Iterator[tuple[str, str, str]]:
+    """Titles and texts of the headers, and how the names of their functions begin."""
+    for name, prefix in (("surffollow.h", "sf_"), ("surffollow_arbiter.h", "sfa_")):
+        yield name, (INCLUDE / name).read_text(encoding="utf-8"), prefix
+    yield "Headers of blocks", reader_text() + writer_text(), "sfb_"
 
 
 def c_page() -> str:
     """Public functions of the C headers with their comments."""
     text = """# C interface
 
-This page is for programmers of controllers in C and C++. It lists the functions of the two headers.
+This page is for programmers of controllers in C and C++. It lists the functions of the two headers,
+and those of the headers that `surffollow blocks print-header` prints.
 `python tools/write_docs.py` writes it from the headers.
 
 `surffollow --includedir` prints the folder of the headers; there is nothing to link. Structures are in the
 [layout](layout.md), the order of calls is in the [tutorial](../tutorials/c-loop.md).
 """
-    for header in ("surffollow.h", "surffollow_arbiter.h"):
-        text += f"\n## {header}\n"
-        for name, declaration, comment in functions(header):
+    for title, header, prefix in headers():
+        text += f"\n## {title}\n"
+        for name, declaration, comment in functions(header, prefix):
             text += f"\n### {name}\n\n```c\n{declaration};\n```\n\n```text\n{comment}\n```\n"
     return text

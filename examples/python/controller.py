@@ -85,7 +85,7 @@ def run(name: str, seconds: float) -> list[tuple[float, ...]]:
 
 
 def plot(rows: list[tuple[float, ...]], path: str) -> None:
-    """Draw height and stand-off over time (needs matplotlib: pip install 'surffollow[plot]')."""
+    """Draw height and stand-off over time (needs matplotlib: pip install '.[plot]')."""
     import matplotlib
 
     matplotlib.use("Agg")

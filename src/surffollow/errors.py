@@ -292,5 +292,27 @@ def missing_library(error: ModuleNotFoundError) -> str:
         return ""
     return (
         f"this needs {library}, which a client-only installation does not have; "
-        "install the rest: pip install 'surffollow[service]'"
+        f"install the rest: {install_command('service')}"
     )
+
+
+def install_command(extra: str) -> str:
+    """Command that installs an extra from a checkout, not under a name of a package index.
+
+    Parameters
+    ----------
+    extra : str
+        such as "service" or "plot" (pyproject.toml)
+
+    Returns
+    -------
+    str
+        the command, and where to type it
+
+    Examples
+    --------
+    >>> from surffollow.errors import install_command
+    >>> install_command("plot")
+    "pip install '.[plot]' in a checkout of surffollow"
+    """
+    return f"pip install '.[{extra}]' in a checkout of surffollow"

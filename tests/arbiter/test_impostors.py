@@ -22,8 +22,8 @@ from running_service import until
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import handshake as hs
-from surffollow.arbiter.board import take_old_board
 from surffollow.arbiter.config import load_config, parse_config
+from surffollow.arbiter.name_owner import take_old_board
 from surffollow.arbiter.server import Server
 from surffollow.errors import AlreadyRunningError, BlockError, NoPermissionError, NotRunningError
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import signal
 import subprocess
@@ -36,7 +37,7 @@ int main(int argc, char **argv) {
     if (line[0] == 'w') { /* publish */
       p.t_ns++;
       p.pose[1] = 0.5 * (double)p.t_ns;
-      strcpy(p.state, "from C");
+      if (p.state[0] == 0) strcpy(p.state, "from C");
       printf("wrote %lld\n", (long long)sfb_write(&w, &p, 2000));
     } else if (line[0] == 'r') { /* read it back, waiting */
       err = sfb_open(&b, argv[1], SFB_PLATFORM_HASH, sizeof p);
@@ -47,6 +48,11 @@ int main(int argc, char **argv) {
         if (g > 0 && sfb_read_done(&b, &r) != 0) return 3;
         sfb_close(&b);
       }
+    } else if (line[0] == 't') { /* the text that follows, cut to its member */
+      const size_t n = strlen(line) - 2;
+      char text[sizeof p.state + 1];
+      memcpy(p.state, line + 1, n < sizeof p.state ? n : sizeof p.state);
+      printf("text %lu %s\n", (unsigned long)sfb_text(text, p.state, sizeof p.state), text);
     } else if (line[0] == 'e') {
       break;
     }
@@ -125,6 +131,31 @@ def test_python_reads_what_c_publishes_and_may_not_write_meanwhile(space, writer
         assert one.end() == 0
         assert mem.platform.latest().stale
     assert not list(Path("/dev/shm").glob(f"{space}*"))
+
+
+def test_a_text_that_fills_its_member_is_read_whole(space, writer):
+    one = writer()
+    assert one("tshort") == "text 5 short"
+    # GIVEN a text as long as its member, without a NUL, and one that is longer
+    assert one("t0123456789abcdef") == "text 16 0123456789abcdef"
+    assert one("t0123456789abcdefgh") == "text 16 0123456789abcdef"
+    # WHEN it is published, THEN Python reads the whole
+    assert one("w") == "wrote 1"
+    with mem_attach(Platform, space) as mem:
+        assert mem.platform.latest()["state"] == "0123456789abcdef"
+    assert one.end() == 0
+
+
+def test_the_generated_header_says_that_texts_have_no_terminating_nul():
+    (member,) = [line for line in c_header(Platform).splitlines() if "char state[16];" in line]
+    assert "without a NUL where it fills the array: sfb_text" in member
+
+
+def test_the_page_of_the_c_interface_lists_every_function_of_a_blocks_header():
+    page = (Path(__file__).parents[2] / "docs/reference/c-api.md").read_text(encoding="utf-8")
+    text = re.sub(r"\w+_schema\(void\)", "", c_header(Platform))
+    names = set(re.findall(r"^static inline [^;{(]*?\b(sfb_(?!i_|word)\w+)\(", text, re.MULTILINE))
+    assert names == set(re.findall(r"^### (sfb_\w+)$", page, re.MULTILINE))
 
 
 def test_c_and_python_take_over_from_each_other_after_a_death(space, writer):

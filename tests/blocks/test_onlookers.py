@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -13,13 +14,15 @@ import pytest
 from click.testing import CliRunner
 
 import surffollow
+from second_user import NOBODY, needs_root
 from surffollow.blocks import I8, Block, mem_attach
 from surffollow.blocks.cheader import c_header
 from surffollow.blocks.layout import schema_from_text, schema_text
+from surffollow.blocks.remove import remove_block
 from surffollow.cli.blocks import blocks_group
-from surffollow.errors import BlockError, NotRunningError, SchemaError
+from surffollow.errors import BlockError, BusyError, NoPermissionError, NotRunningError, SchemaError
 
-from .conftest import Platform, Words
+from .conftest import Platform, Words, forever
 
 INCLUDE = Path(surffollow.__file__).parent / "include"
 
@@ -146,3 +149,50 @@ def test_the_c_header_of_a_schema_reads_the_block(space, platform, tmp_path, lan
     with mem_attach(Words, space, write=True):
         assert read(f"{space}.words") == "-71"
     assert "typedef struct sfb_platform" in run("print-header", f"{space}.platform")
+
+
+def test_rm_removes_the_block_of_a_dead_writer_only(space, child):
+    def write(me):
+        with mem_attach(Platform, space, write=True).platform.write() as slot:
+            slot.t_ns = 1
+        me.say(1)
+        forever()
+
+    name, path = f"{space}.platform", Path(f"/dev/shm/{space}.platform")
+    # GIVEN a block whose writer lives
+    writer = child(write)
+    assert writer.receive() == 1
+    reader = mem_attach(Platform, space).platform
+    with pytest.raises(BusyError, match=str(writer.pid)):
+        remove_block(name)
+    # nor is it removed where the lock of its writer was removed manually
+    Path(f"{path}.lock").unlink()
+    with pytest.raises(BusyError, match=str(writer.pid)):
+        remove_block(name)
+    # WHEN the writer is killed and its block removed
+    writer.kill()
+    assert json.loads(run("rm", name, "--json")) == {"removed": [name]}
+    # THEN nothing is left of it, and readers know
+    assert not list(Path("/dev/shm").glob(f"{space}*"))
+    assert reader.latest().stale
+    with pytest.raises(NotRunningError):
+        remove_block(name)
+    assert not list(Path("/dev/shm").glob(f"{space}*"))
+
+
+def test_rm_removes_no_other_object(space):
+    path = Path(f"/dev/shm/{space}.platform")
+    path.write_bytes(bytes(8192))
+    with pytest.raises(BlockError, match="is no block"):
+        remove_block(path.name)
+    assert path.exists()
+
+
+@needs_root
+def test_rm_removes_no_block_of_another_user(space):
+    mem_attach(Platform, space, write=True).close(keep=True)
+    path = Path(f"/dev/shm/{space}.platform")
+    os.chown(path, NOBODY, NOBODY)
+    with pytest.raises(NoPermissionError):
+        remove_block(path.name)
+    assert path.exists()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from surffollow.cli.main import cli
+from surffollow.errors import FaultError
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf", "soon"])
@@ -38,6 +40,18 @@ def test_numbers_out_of_bounds_are_refused_and_others_taken() -> None:
     assert CliRunner().invoke(cli, ["demo", "--seconds", "2"]).exit_code == 2
     done = CliRunner().invoke(cli, ["stop", "--name", "values-none", "--timeout", "1e1"])
     assert "no service 'values-none'" in str(done.exception)
+
+
+@pytest.mark.parametrize("words", [("map", "reset"), ("map", "refocus", "FILE")])
+def test_negative_coordinates_are_numbers_and_no_options(words: tuple[str, ...], tmp_path: Path) -> None:
+    file = tmp_path / "FILE"
+    file.touch()
+    words = tuple(str(file) if w == "FILE" else w for w in words)
+    wanted = {"reset": ["--name", "values-none"], "refocus": ["-o", str(tmp_path / "new.txt")]}[words[1]]
+    for more in (["0", "-0.5", "2", "-.25in", *wanted], [*wanted, "--", "0", "-0.5", "2", "1"]):
+        done = CliRunner().invoke(cli, [*words, *more])
+        assert isinstance(done.exception, FaultError), done.output  # no such service, and no map file
+    assert "No such option" in CliRunner().invoke(cli, [*words, "0", "--nmae", "-0.5", "2", "1"]).output
 
 
 @pytest.mark.parametrize("words", [("demo", "--seed"), ("simulate", "--seed"), ("simulate", "--noise-seed")])

@@ -1,4 +1,4 @@
-"""`pip install surffollow` alone: a client, small, and clear about what it cannot do."""
+"""`pip install .` alone: a client, small, and clear about what it cannot do."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from running_service import Service, config_text
+from running_service import Service, config_text, objects_of
 
 ROOT = Path(__file__).parents[2]
-MOST_BYTES = 60_000_000
+MOST_BYTES = 12_000_000
 
 DRIVE = """
 import json, sys, time
@@ -83,6 +83,15 @@ def test_a_client_installation_drives_a_service_and_has_the_header(light: Path, 
         assert json.loads(status.stdout)["alive"], status.stderr
         audit = run(light / "bin/surffollow", "status", "--name", service.name, "--audit", cwd=tmp_path)
         assert "SF_RESET" in audit.stdout.upper().replace("SFRESET", "SF_RESET"), audit.stdout + audit.stderr
+        stop = run(light / "bin/surffollow", "stop", "--name", service.name, "--json", cwd=tmp_path)
+        assert stop.returncode == 0, stop.stderr
+        assert json.loads(stop.stdout) == {"name": service.name, "pid": service.pid, "purged": False}
+        assert objects_of(service.name) == {f"{service.name}.map"}
+        purge = run(light / "bin/surffollow", "stop", "--name", service.name, "--purge", cwd=tmp_path)
+        assert purge.returncode == 0, purge.stderr
+        assert objects_of(service.name) == set()
+        again = run(light / "bin/surffollow", "stop", "--name", service.name, cwd=tmp_path)
+        assert again.stderr == f"surffollow: no service {service.name!r} is running\n"
     finally:
         service.purge()
     include = run(light / "bin/surffollow", "--includedir", cwd=tmp_path).stdout.strip()
@@ -97,7 +106,7 @@ def test_what_needs_the_service_libraries_says_what_to_install(
     (tmp_path / "x.map").touch()
     got = run(light / "bin/surffollow", *words, cwd=tmp_path)
     assert got.returncode == 1
-    assert "pip install 'surffollow[service]'" in got.stderr
+    assert "pip install '.[service]'" in got.stderr
     assert "Traceback" not in got.stderr
 
 
@@ -105,4 +114,4 @@ def test_what_needs_the_service_libraries_says_what_to_install(
 def test_what_computes_says_what_to_install(what: str, light: Path, tmp_path: Path) -> None:
     got = run(light / "bin/python", "-c", what, cwd=tmp_path)
     assert got.returncode == 1
-    assert "pip install 'surffollow[service]'" in got.stderr
+    assert "pip install '.[service]'" in got.stderr

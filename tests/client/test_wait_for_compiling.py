@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+from surffollow.cli import status as status_module
 from surffollow.cli.main import cli
 from surffollow.client import board as board_module
 from surffollow.client.board import Board, start_report
@@ -20,6 +22,7 @@ from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
+from surffollow.shm.layout_follow import Output, Params
 
 NAME = f"compiling-{os.getpid()}"
 
@@ -62,6 +65,22 @@ def tell(objects: SharedObjects, text: str) -> None:
     main_thread = zeros(lb.MainThreadState)
     main_thread[0]["text"] = text.encode()
     latch_write(objects.address("ticker"), main_thread.ctypes.data, lb.MainThreadState.SIZE)
+
+
+def publish(objects: SharedObjects) -> None:
+    params = zeros(Params)
+    latch_write(objects.address("params"), params.ctypes.data, Params.SIZE)
+    output = zeros(Output)
+    output[0]["t_ns"], output[0]["epoch"] = time.monotonic_ns(), objects.epoch
+    latch_write(objects.address("output"), output.ctypes.data, Output.SIZE)
+
+
+def start_anew(objects: SharedObjects) -> None:
+    """Make the board that of a start: this process runs, is not ready, and has published nothing."""
+    objects.header[0]["start_ticks"] -= 1
+    output = zeros(Output)
+    latch_write(objects.address("output"), output.ctypes.data, Output.SIZE)
+    objects.set_state(lb.STATE_INITIALISING)
 
 
 def test_it_waits_until_ready_and_tells_the_progress(
@@ -138,6 +157,42 @@ def test_the_status_of_a_service_that_died_while_it_compiled_is_no_start(
     assert start_report(NAME) is not None
     monkeypatch.setattr(board_module, "is_running", lambda *_: False)
     assert start_report(NAME) is None
+
+
+def ended(objects: SharedObjects) -> None:
+    """Make the board that of a killed service."""
+    objects.header[0]["start_ticks"] += 1
+
+
+def test_a_wait_goes_on_behind_a_killed_service_until_the_next_one_publishes(
+    objects: SharedObjects, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # GIVEN the board of a service that was ready and is killed
+    monkeypatch.setattr(status_module, "time", clock)
+    objects.header[0]["period_ns"] = 1_000_000_000  # stale after 20 s
+    publish(objects)
+    objects.set_state(lb.STATE_READY)
+    ended(objects)
+    # WHEN the next one starts at 3 s, compiles at 5 s, is ready at 7 s and publishes at 9 s
+    clock.then = {
+        3: lambda: start_anew(objects),
+        5: lambda: tell(objects, "compiling kernels, 7: one"),
+        7: lambda: objects.set_state(lb.STATE_READY),
+        9: lambda: publish(objects),
+    }
+    done = CliRunner().invoke(cli, ["status", "--name", NAME, "--wait", "30", "--json"])
+    # THEN the wait ends there
+    assert (done.exit_code, json.loads(done.stdout)["state"], clock.now_s) == (0, "ready", 9.0)
+
+
+def test_a_wait_for_a_service_that_stays_dead_lasts_its_whole_time(
+    objects: SharedObjects, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(status_module, "time", clock)
+    objects.set_state(lb.STATE_READY)
+    ended(objects)
+    done = CliRunner().invoke(cli, ["status", "--name", NAME, "--wait", "30", "--json"])
+    assert (done.exit_code, json.loads(done.stdout)["state"], clock.now_s) == (1, "stale", 30.0)
 
 
 def test_a_cold_start_publishes_how_far_it_is_even_when_it_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import grp
 import os
 
 import pytest
@@ -9,6 +10,7 @@ from click.testing import CliRunner
 
 from surffollow import Follower
 from surffollow.cli.service import start_command
+from surffollow.config.group_id import configured_group_id
 from surffollow.config.service import (
     ServiceConfig,
     follow_params,
@@ -218,3 +220,12 @@ def test_too_close_follows_from_the_window_that_is_configured(follow, close_m, e
 def test_the_documented_bounds_of_the_period_are_accepted(period: str) -> None:
     config = parse_config({"period": period, "watchdog": "60 s"})
     assert seconds(config.period, "period", 20e-6, 1.0) in (20e-6, 1.0)
+
+
+def test_a_group_is_given_by_name_or_by_number():
+    group = grp.getgrgid(os.getgid())
+    assert configured_group_id("", "access.group") == -1
+    assert configured_group_id(group.gr_name, "access.group") == group.gr_gid
+    assert configured_group_id(str(group.gr_gid), "access.group") == group.gr_gid
+    with pytest.raises(ConfigError, match=r"access.group is 'no-such-group-x'"):
+        configured_group_id("no-such-group-x", "access.group")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,6 +33,11 @@ from surffollow.shm.conversion import (
 from surffollow.shm.dtypes import zeros
 from surffollow.sim.surfaces import flat_field
 from surffollow.sim.world import WorldPose, WorldReader, WorldWriter
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 MS = 1_000_000
 FLAT = flat_field((0.0, 0.0, 0.1, 0.1))
@@ -308,6 +315,74 @@ def test_a_file_that_is_no_recording_is_reported_without_the_text_of_numpy(tmp_p
         make_driver({"kind": "replay", "file": str(tmp_path / "none.npz")}, NAME)
     with pytest.raises(RecordingError, match="Is a directory"):
         make_driver({"kind": "replay", "file": str(tmp_path)}, NAME)
+
+
+def test_the_example_of_the_page_plays_a_log_of_distances(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # GIVEN a log, and the program and the settings of docs/reference/drivers.md
+    monkeypatch.chdir(tmp_path)
+    Path("laser.csv").write_text("time_s,distance_mm\n5.000,100.5\n5.001,\n5.002,250\n5.003,400\n")
+    page = (Path(__file__).parents[2] / "docs/reference/drivers.md").read_text().split("## Replay")[1]
+    exec(re.findall(r"```python\n(.*?)```", page, re.S)[0], {})
+    settings = tomllib.loads(re.findall(r"```toml\n(.*?)```", page, re.S)[0])["driver"]
+    # WHEN the driver plays it
+    driver, queue = make_driver(settings, NAME), ConversionQueue()
+    driver.start(queue)
+    until(lambda: len(queue) == 4, "four distances")
+    driver.stop()
+    # THEN the service gets the distances at their distance in time, with the window of the settings
+    assert (driver.info.range_min_m, driver.info.range_max_m, driver.info.latency_ns) == (0.05, 0.3, 2 * MS)
+    got = queue.drain()
+    assert np.diff(got[:, 0]).tolist() == [MS, MS, MS]
+    invalid = [bool(conversion_flags(w) & FLAG_INVALID) for w in got[:, 1].tolist()]
+    assert invalid == [False, True, False, False]
+    range_m = [
+        driver.info.zero_m[0] + driver.info.scale_m[0] * conversion_counts(w) for w in got[:, 1].tolist()
+    ]
+    assert [round(range_m[k], 6) for k in (0, 2, 3)] == [0.1005, 0.25, 0.4]
+
+
+@pytest.mark.parametrize(
+    ("arrays", "more", "error", "says"),
+    [
+        (
+            {"t_ns": [1], "range_m": [0.1]},
+            {"range_min_m": None},
+            ConfigError,
+            "set range_min_m and range_max_m",
+        ),
+        ({"t_ns": [1], "range_m": [0.1]}, {"range_min_m": 0.5}, ConfigError, "0.5 to 0.3 m"),
+        ({"range_m": [0.1]}, {}, RecordingError, r"expected t_ns, range_m \(n,\)"),
+        ({"t_ns": [1, 2], "range_m": [0.1]}, {}, RecordingError, "shapes"),
+        ({"t_ns": [1.0], "range_m": [0.1]}, {}, RecordingError, "t_ns as float64"),
+        ({"t_ns": [1], "range_m": [0.1], "channel": [8]}, {}, RecordingError, "outside 0 to 7"),
+        ({"t_ns": [2, 1], "range_m": [0.1, 0.1]}, {}, RecordingError, "times go back"),
+        ({"t_ns": [1], "range_m": [0.1]}, {"latency_s": 2.0}, ConfigError, "latency_s = 2.0"),
+    ],
+)
+def test_a_wrong_file_of_distances_is_refused(
+    tmp_path: Path, arrays: dict, more: dict, error: type[Exception], says: str
+) -> None:
+    np.savez(tmp_path / "r.npz", **{n: np.array(a) for n, a in arrays.items()})
+    settings = {
+        "kind": "replay",
+        "file": str(tmp_path / "r.npz"),
+        "range_min_m": 0.05,
+        "range_max_m": 0.3,
+    } | more
+    with pytest.raises(error, match=says):
+        make_driver({k: v for k, v in settings.items() if v is not None}, NAME)
+
+
+def test_settings_replace_those_of_a_file_of_conversions(tmp_path: Path) -> None:
+    save_conversions(tmp_path / "c.npz", RECORDED_T, RECORDED_WORDS, INFO)
+    driver = make_driver(
+        {"kind": "replay", "file": str(tmp_path / "c.npz"), "range_min_m": "10 mm", "latency_s": "3 ms"}, NAME
+    )
+    expected = (0.01, INFO.range_max_m, 3 * MS, INFO.scale_m)
+    i = driver.info
+    assert (i.range_min_m, i.range_max_m, i.latency_ns, i.scale_m) == expected
 
 
 def test_registry_makes_each_kind_and_wraps_it_when_faults_are_ordered(tmp_path: Path) -> None:

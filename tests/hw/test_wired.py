@@ -153,7 +153,7 @@ def test_a_sensor_that_must_be_asked_gets_its_command_at_every_opening(tty: Pty)
 def test_an_extra_that_is_missing_is_named_with_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     for kind, module in (("serial", "serial"), ("can", "can")):
         monkeypatch.setitem(sys.modules, module, None)
-        with pytest.raises(ConfigError, match=rf"pip install 'surffollow\[{kind}\]'"):
+        with pytest.raises(ConfigError, match=rf"pip install '\.\[{kind}\]'"):
             made({"kind": kind})
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from matplotlib import figure
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from surffollow.cli.convert import convert_command, recover_command
 from surffollow.cli.plot import plot_command
@@ -16,7 +18,7 @@ from surffollow.cli.replay import replay_command
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
 from surffollow.record.drawn_series import MAX_ROWS, drawn_series
-from surffollow.record.figure import new_figure, outliers, save_figure, spans
+from surffollow.record.figure import new_figure, outliers, save_figure, shade, spans
 from surffollow.record.latency_histogram import log_histogram
 from surffollow.record.plot_recording import forecast_errors, read_figure_data
 
@@ -217,6 +219,21 @@ def test_outliers_are_found_and_steps_are_not() -> None:
     values[[50, 200]] += [0.01, -0.01]
     values[100:104] = np.nan
     assert np.flatnonzero(outliers(values)).tolist() == [50, 200]
+
+
+def test_a_span_narrower_than_a_pixel_is_seen() -> None:
+    # GIVEN a gap of a second in three hours, WHEN it is shaded
+    drawing = figure.Figure(figsize=(4.0, 1.0), dpi=100)
+    canvas = FigureCanvasAgg(drawing)
+    ax = drawing.add_axes((0.0, 0.0, 1.0, 1.0))
+    ax.axis("off")
+    ax.set_xlim(0.0, 10_000.0)
+    shade(ax, [(5000.0, 5001.0)], "#ff0000", "gap")
+    canvas.draw()
+    # THEN a line of that colour is in the picture
+    red = np.asarray(canvas.buffer_rgba())[50, :, 1] < 200
+    assert 1 <= red.sum() <= 3
+    assert abs(int(np.argmax(red)) - 200) <= 2
 
 
 def test_spans_end_with_the_sample_after_them() -> None:

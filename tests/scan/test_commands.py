@@ -7,6 +7,7 @@ import os
 import struct
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -14,11 +15,13 @@ from click.testing import CliRunner
 
 import naive_scan as naive
 from running_service import run_command
+from surffollow.cli.main import cli
 from surffollow.cli.scan import scan_group
 from surffollow.errors import ScanFileError, SurffollowError
 from surffollow.map import HeightMap
 from surffollow.scan.camera import Camera, looking_down
 from surffollow.scan.cloud_files import read_cloud
+from surffollow.scan.image_files import read_images
 
 CAMERAS = """
 [default]
@@ -145,6 +148,42 @@ def test_a_grid_in_another_unit_makes_no_map(survey, tmp_path):
     assert isinstance(made.exception, SurffollowError)
     assert "is the unit metres?" in str(made.exception)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_image_is_refused_wherever_the_damage_is(survey, tmp_path):
+    # GIVEN a compressed image, WHEN any part of it is damaged
+    image = tmp_path / "view0.npz"
+    np.savez_compressed(image, depth_m=np.linspace(1.0, 2.0, 600).reshape(20, 30))
+    sound = image.read_bytes()
+    refused = 0
+    for at in range(0, len(sound), 7):
+        image.write_bytes(sound[:at] + bytes(b ^ 0x5A for b in sound[at : at + 3]) + sound[at + 3 :])
+        # THEN it is refused in words, or read
+        try:
+            read_images([image], survey / "cameras.toml")
+        except ScanFileError as error:
+            refused += str(image) in str(error)
+    assert refused > 100
+    # AND the command ends with an error that is one JSON object
+    middle = len(sound) // 2
+    image.write_bytes(sound[:middle] + b"damaged" + sound[middle + 7 :])
+    words = ["scan", "map", image, "--cameras", survey / "cameras.toml", "-o", tmp_path / "g.npz", "--json"]
+    done = CliRunner().invoke(cli, [str(w) for w in words])
+    assert json.loads(done.stdout) == {
+        "error": str(done.exception),
+        "kind": "ScanFileError",
+        "exit_code": 1,
+    }
+    assert "it is damaged" in str(done.exception)
+
+
+@pytest.mark.parametrize("values", [np.ones((4, 4), complex), np.full((4, 4), "1.0"), np.zeros(4, "f8,f8")])
+def test_an_image_of_other_than_real_numbers_is_refused_without_a_warning(survey, tmp_path, values):
+    np.savez(tmp_path / "view0.npz", depth_m=values)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ScanFileError, match=r"depth_m of .* expected real numbers"):
+            read_images([tmp_path / "view0.npz"], survey / "cameras.toml")
 
 
 def test_an_interrupt_leaves_the_old_map(survey, tmp_path):

@@ -244,6 +244,7 @@ KILL_AT_EVERY_LINE = """
 import os, signal, sys
 from surffollow.config.service import load_config
 from surffollow.service import shared_objects
+from surffollow.service.name_owner import purge_map
 from surffollow.shm import layout_board as lb
 import msgspec
 config = msgspec.structs.replace(load_config(sys.argv[1]), name=sys.argv[2])
@@ -270,7 +271,7 @@ while not whole:
     whole = os.waitpid(pid, 0)[1] == 0
     healed = shared_objects.open_shared_objects(config)
     healed.leave()
-    shared_objects.purge_map(config.name)
+    purge_map(config.name)
     assert not [p for p in os.listdir("/dev/shm") if p.startswith(config.name)]
 print(lines)
 """

@@ -207,6 +207,20 @@ def test_a_service_waits_for_the_program_that_pushes_its_ranges_and_stops_when_i
         until(lambda: "driver" in client.status()["stopped"], "the stop")
 
 
+def test_a_service_waits_for_its_simulated_robot_and_stops_when_that_ends(make_service: Make) -> None:
+    # GIVEN a service that stops for faults of its simulated sensor
+    s = make_service(kind="simulated")
+    s.config.write_text(s.config.read_text() + '[stop]\non = ["driver"]\n')
+    s.start()
+    with s.attach() as driver:
+        # WHEN there has been no pose yet, THEN it says so, and is not stopped
+        until(lambda: "no pose is reported" in driver.status()["main"].get("text", ""), "the note")
+        assert driver.status()["stopped"] == []
+        # WHEN poses come, THEN its demands are valid; WHEN they end, THEN it is stopped
+        drive(driver, lambda: valid(driver), what="a demand")
+        until(lambda: "driver" in driver.status()["stopped"], "the stop")
+
+
 def causes_by_service(client: Client) -> set[str]:
     return {c for e in client.audit() if e["client"] == "service" for c in e["causes"]}
 

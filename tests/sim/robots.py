@@ -25,6 +25,7 @@ FLAT = flat_field(REGION)
 class Demand:
     def __init__(self, z_m: float = 0.0, pose_t_ns: int = 0, valid: bool = True) -> None:
         self.z_m, self.pose_t_ns, self.valid, self.epoch = z_m, pose_t_ns, valid, 1
+        self.names: tuple[str, ...] = ("VALID",) if valid else ()
 
     def __getitem__(self, index: int) -> float:
         return (0.0, 0.0, self.z_m, 0.0, 0.0, 0.0)[index]
@@ -35,10 +36,14 @@ class PerfectService:
 
     def __init__(self, field: Any) -> None:
         self.field, self.offset_m, self.poses = field, 0.0, []
+        self.released = False
         self.silent, self.closed, self.epoch, self.resets = False, False, 1, 0
 
     def claim_pose(self) -> None:
         pass
+
+    def release_pose(self) -> None:
+        self.released = True
 
     def sf_reset(self, offset_m: float) -> None:
         self.offset_m = offset_m

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +24,20 @@ def test_a_raster_with_one_lane_is_refused_and_says_what_would_help() -> None:
     with pytest.raises(UsageError, match=r"one lane only.*larger region, smaller lane, or path line"):
         raster_path((0.0, 0.0, 1.0, 0.11), 0.05, 0.2, 0.02)
     assert raster_path((0.0, 0.0, 1.0, 0.13), 0.05, 0.2, 0.02).length_m > 1.6
+
+
+def test_a_damaged_path_and_one_of_complex_numbers_are_refused_without_a_warning(tmp_path: Path) -> None:
+    file = tmp_path / "path.npz"
+    np.savez_compressed(file, x_m=np.linspace(0, 1, 300), y_m=np.zeros(300))
+    sound = file.read_bytes()
+    file.write_bytes(sound[:150] + b"damaged" + sound[157:])
+    with pytest.raises(UsageError, match="is no NPZ file of numbers"):
+        read_path_table(str(file))
+    np.savez(file, x_m=np.ones(3, complex), y_m=np.zeros(3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UsageError, match="is no NPZ file of numbers"):
+            read_path_table(str(file))
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz"])

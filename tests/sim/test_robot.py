@@ -282,7 +282,7 @@ def test_live_run_publishes_its_true_pose_in_wall_time_and_cleans_up() -> None:
     assert summary["finished"]
     assert summary["held_ticks"] < 10
     assert summary["frozen_s"] == 0.0
-    assert service.closed
+    assert (service.released, service.closed) == (True, True)
     stamps = [int(r["t_ns"][0]) for r in seen]
     assert stamps == sorted(stamps)
     assert not os.path.exists(f"/dev/shm/{name}.world")

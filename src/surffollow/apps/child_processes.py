@@ -87,7 +87,7 @@ def running(what: str, words: list[str], folder: Path) -> Iterator[Child]:
 
 def purge(name: str, wait_s: float = 0.0) -> None:
     """Remove every object of a service that has ended, or ends within `wait_s`."""
-    from surffollow.service.shared_objects import purge_map
+    from surffollow.service.name_owner import purge_map
     from surffollow.service.stale_objects import clear_stale
     from surffollow.shm.objects import unlink
 

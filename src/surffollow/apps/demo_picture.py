@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from surffollow.apps.demo_task import DemoConfig
-from surffollow.errors import FaultError, UsageError
+from surffollow.errors import FaultError, UsageError, install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.sim.world_surface import world_surface
 
-_NO_MATPLOTLIB = "drawing needs matplotlib: pip install 'surffollow[plot]', or use --json without --picture"
+_MARGIN_M = 0.025  # of ground around the path
+_PANEL_IN, _TURN_MAP_IN, _MAP_WIDTH_IN = 2.4, 2.8, 8.8  # heights of panels and the width of the map [in]
+_NO_MATPLOTLIB = f"drawing needs matplotlib: {install_command('plot')}, or use --json without --picture"
 _INK, _BLUE, _ORANGE, _SAND = "#22303c", "#2b7bba", "#d9772b", "#e9dfcf"
 
 
@@ -72,12 +74,13 @@ def draw_demo(folder: Path, path: Path, config: DemoConfig, result: dict[str, An
         {"font.size": 9, "axes.edgecolor": _INK, "text.color": _INK, "axes.titleweight": "bold"}
     ):
         rows = 4 if config.turns else 3
+        map_in = _TURN_MAP_IN if config.turns else _map_height_in(config)
         figure, (top, middle, bottom, *more) = plt.subplots(
             rows,
             1,
-            figsize=(10.5, 7.6 * rows / 3),
+            figsize=(10.5, map_in + _PANEL_IN * (rows - 1)),
             layout="constrained",
-            height_ratios=(1.15, 1.0, 1.0, 1.0)[:rows],
+            height_ratios=(map_in, *[_PANEL_IN] * (rows - 1)),
         )
         _draw_map(figure, top, trace, grids, config)
         _draw_section(middle, trace, config)
@@ -93,9 +96,16 @@ def draw_demo(folder: Path, path: Path, config: DemoConfig, result: dict[str, An
     return path
 
 
+def _map_height_in(config: DemoConfig) -> float:
+    """Height of a map that is as wide as the panels below it, with its title and axis [in]."""
+    x0, y0, x1, y1 = config.region
+    shape = (y1 - y0 + 2 * _MARGIN_M) / (x1 - x0 + 2 * _MARGIN_M)
+    return min(_MAP_WIDTH_IN * shape + 0.75, 5.0)
+
+
 def _draw_map(figure: Any, ax: Any, trace: dict[str, Any], grids: dict[str, Any], config: DemoConfig) -> None:
     x0, y0, x1, y1 = config.region
-    margin = 0.025
+    margin = _MARGIN_M
     field = world_surface(config.surface, config.seed, config.ground)
     extent = (x0 - margin, x1 + margin, y0 - margin, y1 + margin)
     columns = slice(*(max(0, round((v - field.x0_m) / field.grid_m)) for v in extent[:2]))
@@ -110,7 +120,8 @@ def _draw_map(figure: Any, ax: Any, trace: dict[str, Any], grids: dict[str, Any]
         trace["x_m"],
         trace["y_m"],
         color=_ORANGE,
-        lw=0.8,
+        lw=1.0,
+        zorder=4,
         label="tool's path" if config.turns else "sensor path",
     )
     image = ax.scatter(
@@ -119,7 +130,7 @@ def _draw_map(figure: Any, ax: Any, trace: dict[str, Any], grids: dict[str, Any]
         c=grids["heights_m"][row, column] * 1e3,
         cmap="viridis",
         marker="s",
-        s=4 if config.turns else 9,
+        s=4 if config.turns else 16,
         lw=0,
         zorder=3,
         label="mapped grids",

@@ -14,7 +14,7 @@ from surffollow.apps.run_by_holder import RunByHolder
 from surffollow.arbiter import CommandReader, Resource, ResourceCommand, command_reader
 from surffollow.arbiter import attach as attach_arbiter
 from surffollow.blocks import F64, I64, Block, Memory, mem_attach
-from surffollow.client import Client
+from surffollow.client import Client, Ticket
 from surffollow.client import attach as attach_service
 from surffollow.errors import BlockError, FaultError, NotRunningError
 from surffollow.shm.closing import Closing
@@ -37,12 +37,18 @@ class ToolStatus(Block):
 class ToolDemand:
     """An arbiter's command to the tool, as the demand that a robot reads."""
 
-    def __init__(self, command: ResourceCommand, epoch: int) -> None:
-        self._values, self.pose_t_ns, self.epoch = command.values, command.ref_t_ns, epoch
+    def __init__(self, command: ResourceCommand, service: Client) -> None:
+        self._values, self.pose_t_ns, self.epoch = command.values, command.ref_t_ns, service.epoch
+        self._service = service
         self.valid = not command.safe and command.ref_t_ns != 0
 
     def __getitem__(self, index: int, /) -> float:
         return self._values[index]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Status bits of the service's own demand, without VALID: no client commands the tool."""
+        return tuple(n for n in self._service.dev_vector().names if n != "VALID")
 
 
 class ArbitratedService:
@@ -83,15 +89,27 @@ class ArbitratedService:
     def dev_vector(self) -> ToolDemand:
         """The newest combined demand; never waits."""
         self._run.update(time.monotonic_ns())
-        return ToolDemand(self._reader.latest(), self._service.epoch)
+        return ToolDemand(self._reader.latest(), self._service)
 
     def claim_pose(self) -> None:
         """Become the one who reports poses to the service."""
         self._service.claim_pose()
 
+    def release_pose(self) -> None:
+        """Report no poses any more."""
+        self._service.release_pose()
+
     def sf_reset(self, offset_m: float) -> object:
         """Restart the forecast with a desired stand-off [m]."""
         return self._service.sf_reset(offset_m)
+
+    def output(self) -> dict[str, Any] | None:
+        """Everything that the service's newest cycle published."""
+        return self._service.output()
+
+    def reset_stop(self, *, wait: bool) -> Ticket:
+        """Leave the service's latched stop."""
+        return self._service.reset_stop(wait=wait)
 
     def close(self) -> None:
         """Give the attachments back."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.apps.wall_figures import Run, distance_to_wall, straights
-from surffollow.errors import UsageError
+from surffollow.errors import UsageError, install_command
 from surffollow.map.formats.atomic_file import replacing
 
 COLOURS = {"avoid": "tab:red", "follow-wall": "tab:blue", "follow-wall-2": "tab:green", "go": "0.75"}
@@ -45,7 +45,7 @@ def figure_of(run: Run, title: str, room_m: tuple[float, float] = (6.0, 4.0)) ->
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise UsageError("drawing needs Matplotlib: pip install 'surffollow[plot]'") from None
+        raise UsageError(f"drawing needs Matplotlib: {install_command('plot')}") from None
     figure = Figure(figsize=(11, 11), layout="constrained")
     layout: Any = [["path", "laps"], ["distance", "distance"], ["heading", "heading"], ["who", "who"]]
     axes: Any = figure.subplot_mosaic(layout, height_ratios=[3, 1.6, 1.6, 0.9])

@@ -10,82 +10,18 @@ import numpy as np
 
 from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import ArbiterConfig, limits
+from surffollow.arbiter.name_owner import EPOCH_LIMIT, take_old_board
 from surffollow.blocks import layout as bl
 from surffollow.blocks.claim import claim_writer, give_up
 from surffollow.config.group_id import configured_group_id
 from surffollow.config.service import mode, seconds
-from surffollow.config.trusted_users import own_user
-from surffollow.errors import (
-    AlreadyRunningError,
-    BlockError,
-    NotReadyError,
-    NotRunningError,
-)
 from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.layout_board import LogHead
-from surffollow.shm.name_lock import NameLock, holder
 from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.process import own_pid, start_ticks
 from surffollow.shm.python_atomics import store_release
 
-EXIT_GRACE_S = 0.3  # a process that was just killed holds its locks until the kernel has taken it apart
-EPOCH_LIMIT = (1 << 31) - 2
 _STATE = al.BoardHeader.offset("state")
-
-
-def own_name(name: str) -> NameLock:
-    """Become the owner of an arbiter's objects in /dev/shm.
-
-    The socket alone does not make it that: two containers that share /dev/shm may both bind its name.
-
-    Raises
-    ------
-    AlreadyRunningError
-        a live process owns them
-    NoPermissionError
-        another user's lock file is in the way
-    """
-    own = NameLock.take_within(f"{name}.arbiter", EXIT_GRACE_S)
-    if own is None:
-        pid = holder(f"{name}.arbiter")
-        raise AlreadyRunningError(
-            f"an arbiter {name!r} runs already (process {pid if pid > 0 else 'unknown'}, perhaps in "
-            "another network namespace); end it, or start this one under another name (--name)"
-        )
-    return own
-
-
-def take_old_board(name: str) -> int:
-    """Remove a dead server's board; its epoch, 0 when there was none.
-
-    Raises
-    ------
-    NoPermissionError
-        it belongs to another user
-    BlockError
-        what bears the name is no board
-    """
-    try:
-        old = SharedObject.open(name, writable=True, owners=(own_user(),))
-    except NotRunningError:
-        return 0
-    except NotReadyError:
-        unlink(name)
-        return 0
-    try:
-        if old.size < al.PAGE:
-            raise BlockError(f"shared-memory object {name!r} is there and is no board; take another name")
-        bytes_ = np.frombuffer(old.memory, np.uint8)
-        header = bytes_[: al.BoardHeader.SIZE].view(numpy_dtype(al.BoardHeader))[0]
-        if header["magic"] != al.BOARD_MAGIC:
-            raise BlockError(f"shared-memory object {name!r} is there and is no board; take another name")
-        header["state"] = al.STATE_ENDED
-        epoch = int(header["epoch"])
-        del header, bytes_
-        unlink(name)
-        return epoch if 0 < epoch < EPOCH_LIMIT else 0
-    finally:
-        old.close()
 
 
 class Board:
@@ -166,10 +102,10 @@ class Board:
 
 
 class CommandBlock:
-    """The command block of one resource, or of a combination."""
+    """The command block of one resource, or of a combination. It waits for no reader (lease 0)."""
 
     def __init__(self, name: str, access: int, group: int) -> None:
-        self._claimed = claim_writer(name, al.Command, mode=access, group=group, lease_ns=500_000_000)
+        self._claimed = claim_writer(name, al.Command, mode=access, group=group, lease_ns=0)
         self.object = self._claimed[0]
         self._bytes = np.frombuffer(self.object.memory, np.uint8)
         base = int(self._bytes.ctypes.data)

@@ -12,7 +12,8 @@ from surffollow.client.board import CLOSED, unpack_schema
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import BlockError, LayoutMismatchError, UsageError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
-from surffollow.shm.process import start_ticks
+from surffollow.shm.name_lock import holder
+from surffollow.shm.process import is_running
 
 _ENTRY = -(-al.ClientEntry.SIZE // 64) * 64
 _STATE, _HEARTBEAT = al.BoardHeader.offset("state") // 8, al.BoardHeader.offset("heartbeat_ns") // 8
@@ -47,6 +48,7 @@ class BoardReader:
 
     def __init__(self, name: str, memory: mmap.mmap) -> None:
         self.name, self.memory = name, memory
+        self._seen = False  # its process could be seen here
         self.words: Any = memoryview(memory).cast("q")
         h = self.header = unpack_schema(al.BoardHeader, memory) if len(memory) >= al.PAGE else {"magic": 0}
         if h["magic"] != al.BOARD_MAGIC:
@@ -76,13 +78,20 @@ class BoardReader:
         _ = self.words[_STATE]
 
     def alive(self) -> bool:
-        """Whether the server runs: it has not ended, and its process is there."""
+        """Whether the server runs: it has not ended, and its process is there.
+
+        A server in another pid namespace has no process here: its lock decides, and for other users, who
+        cannot look at that, its heartbeat.
+        """
         h = self.header
         if self.words[_STATE] != al.STATE_READY:
             return False
-        if time.monotonic_ns() - self.words[_HEARTBEAT] < 2 * h["lease_ns"]:
+        if is_running(h["server_pid"], h["server_start_ticks"]):
+            self._seen = True
             return True
-        return start_ticks(h["server_pid"]) == h["server_start_ticks"] != 0
+        if self._seen or holder(f"{self.name}.arbiter") == 0:
+            return False
+        return time.monotonic_ns() - int(self.words[_HEARTBEAT]) < 2 * int(h["lease_ns"])
 
     def number_of(self, resource: str) -> int:
         """Number of a resource.

@@ -17,11 +17,12 @@ from surffollow.arbiter import handshake as hs
 from surffollow.arbiter import layout as al
 from surffollow.arbiter import memory as m
 from surffollow.arbiter import table as t
-from surffollow.arbiter.board import Board, CommandBlock, own_name
+from surffollow.arbiter.board import Board, CommandBlock
 from surffollow.arbiter.config import ArbiterConfig, limits
 from surffollow.arbiter.connections import ConnectionServer, users_of
 from surffollow.arbiter.effects import apply_event
 from surffollow.arbiter.loop import run_rounds
+from surffollow.arbiter.name_owner import own_name
 from surffollow.config.group_id import configured_group_id
 from surffollow.config.service import mode
 from surffollow.errors import ServiceError

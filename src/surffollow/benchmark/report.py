@@ -12,7 +12,7 @@ from surffollow.benchmark.cell_runs import geometric_mean
 from surffollow.benchmark.methods import LIMIT, ORACLE
 from surffollow.benchmark.runner import Result, run_method, scene_of
 from surffollow.benchmark.suite import surface_labels
-from surffollow.errors import UsageError
+from surffollow.errors import UsageError, install_command
 
 Row = dict[str, Any]
 
@@ -132,7 +132,7 @@ def write_plots(results: Sequence[Result], folder: Path) -> list[Path]:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise UsageError("plots need matplotlib: pip install 'surffollow[plot]'") from error
+        raise UsageError(f"plots need matplotlib: {install_command('plot')}") from error
     written: list[Path] = []
     main = [r for r in results if not r.cell.variant]
     labels = surface_labels(r.cell.surface for r in main)

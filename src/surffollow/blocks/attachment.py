@@ -183,8 +183,16 @@ class Attachment:
 
     @property
     def fenced(self) -> int:
-        """How many times the writer had to fence readers that held it up for a lease."""
-        return int(self._words[bl.FENCE_WORD])
+        """How many times the writer had to fence readers that held it up for a lease.
+
+        0 for a writer that waits for no reader, such as an arbiter (lease 0): there *fence* counts writes.
+        """
+        return int(self._words[bl.FENCE_WORD]) if self._words[bl.LEASE_WORD] else 0
+
+    @property
+    def lease_s(self) -> float:
+        """How long a reader may hold the writer up [s]; 0: the writer waits for no reader."""
+        return float(self._words[bl.LEASE_WORD]) / 1e9
 
     @property
     def writer_pid(self) -> int:

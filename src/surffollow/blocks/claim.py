@@ -73,7 +73,7 @@ def claim_writer(
     NoSpaceError        /dev/shm cannot hold it
     BlockError          something that is no block bears the name
     """
-    with _take_name(name).released_on_error() as own:
+    with take_name(name).released_on_error() as own:
         while True:
             try:
                 obj = SharedObject.open(name, writable=True, owners=(own_user(),))
@@ -95,7 +95,8 @@ def claim_writer(
             obj.close()
 
 
-def _take_name(name: str) -> NameLock:
+def take_name(name: str) -> NameLock:
+    """Become the owner of a block's name; BusyError: a live process is."""
     own = NameLock.take_within(check_name(name), EXIT_GRACE_S)
     if own is None:
         pid = holder(name)

@@ -34,7 +34,9 @@ class BlockHeader(Schema):
     text_bytes = U64(unit="B", doc="length of the schema's JSON text, from byte 4096 on")
     latch_offset = U64(unit="B")
     size = U64(unit="B")
-    lease_ns = U64(unit="ns", doc="a reader that makes the writer wait longer is fenced")
+    lease_ns = U64(
+        unit="ns", doc="a reader that holds the writer up for longer is fenced; 0: it waits for none"
+    )
     epoch = U64(doc="number of the writer: one more for every writer that takes over")
     writer_pid = I64()
     writer_start_ticks = I64()
@@ -42,7 +44,10 @@ class BlockHeader(Schema):
     schema_name = Text(64)
     state = U64(align=64, doc="1: live, 2: this object was given up, look for the name again")
     waiting_ns = U64(align=64, unit="ns", doc="since when the writer waits for readers; 0: it does not")
-    fence = U64(align=64, doc="how many times readers were fenced; names the byte that is locked")
+    fence = U64(
+        align=64,
+        doc="names the byte that is locked; how many times readers were fenced, with lease_ns 0 each write",
+    )
 
 
 class SlotHead(Schema):

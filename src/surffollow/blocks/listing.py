@@ -50,6 +50,7 @@ def describe_block(block: AttachedBlock) -> dict[str, Any]:
         "generation": snapshot.generation,
         "age_s": round(snapshot.age_ns(time.monotonic_ns()) / 1e9, 6) if snapshot.generation else None,
         "fenced": block.fenced,
+        "lease_s": block.lease_s,
     }
 
 

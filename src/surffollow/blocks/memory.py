@@ -126,7 +126,7 @@ def mem_attach(
     mode : int
         permissions of blocks written here, for example 0o640
     group : str
-        of blocks written here: name of the group that may read them; "": that of this process
+        of blocks written here: name or number of the group that may read them; "": that of this process
     lease_s : float
         of blocks written here: how long a reader may hold up a waiting writer
     owner : int or str

@@ -1,4 +1,4 @@
-"""`surffollow arbiter start`, `status`, `history`, `check`, `print-header`, `follow` and `demo`."""
+"""`surffollow arbiter start`, `stop`, `status`, `history`, `check`, `print-header`, `follow` and `demo`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from surffollow.cli.arbiter_stop import stop_command
 from surffollow.cli.old_names import old_name
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
@@ -40,6 +41,9 @@ def start_command(config_path: str, name: str | None, quiet: bool) -> None:
     from surffollow.arbiter.server import serve
 
     serve(config, quiet)
+
+
+arbiter_group.add_command(stop_command)
 
 
 @arbiter_group.command("status")

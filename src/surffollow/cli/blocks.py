@@ -1,4 +1,4 @@
-"""`surffollow blocks ls`, `show`, `watch`, `record` and `print-header`."""
+"""`surffollow blocks ls`, `show`, `watch`, `record`, `rm` and `print-header`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WATCH_POLL_S = 0.001
 
 @click.group("blocks")
 def blocks_group() -> None:
-    """List, show, watch and record shared blocks (NAME.BLOCK), without disturbing who uses them."""
+    """List, show, watch, record and remove shared blocks (NAME.BLOCK), without disturbing who uses them."""
 
 
 @blocks_group.command("ls")
@@ -189,6 +189,19 @@ def record_command(
         return
     for name, n in counts.publications.items():
         print(f"{out}: {n} publications of {name}, {counts.missed[name]} missed")
+
+
+@blocks_group.command("rm")
+@click.argument("blocks", nargs=-1, required=True, metavar="BLOCK...")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def remove_command(blocks: tuple[str, ...], as_json: bool) -> None:
+    """Remove BLOCKs (NAME.BLOCK) of writers that were killed; one whose writer lives is refused."""
+    from surffollow.blocks.remove import remove_block
+
+    for name in blocks:
+        remove_block(name)
+    if as_json:
+        print(json.dumps({"removed": list(blocks)}))
 
 
 @blocks_group.command("print-header")

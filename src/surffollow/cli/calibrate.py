@@ -10,9 +10,9 @@ from typing import Any
 
 import click
 
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import SERVICE_NAME, Finite, InputFile
 
-FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+FILE = InputFile(Path)
 OUT = click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),

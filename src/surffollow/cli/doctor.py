@@ -22,6 +22,9 @@ _BAR = 50
 def doctor_command(as_json: bool, unit: str | None) -> None:
     """Say what this machine lacks for hard timing, why it matters and how to get it. Changes nothing.
 
+    Exit code 0 also where something is lacking: the service runs without it. The last line names what
+    is lacking, with --json the list `lacking`.
+
     With --unit: what systemd-analyze says of a unit file, where that is installed.
     """
     from surffollow.service.doctor import examine, machine

@@ -36,7 +36,7 @@ VERBS = {
     "map": ("map", "map_group", "Map files, and the map of a running service."),
     "benchmark": ("benchmark", "benchmark_command", "Compare following methods on one plant."),
     "scan": ("scan", "scan_group", "Map ground from depth images, plan a scan and check it."),
-    "blocks": ("blocks", "blocks_group", "List, show, watch and record shared blocks."),
+    "blocks": ("blocks", "blocks_group", "List, show, watch, record and remove shared blocks."),
     "arbiter": ("arbiter", "arbiter_group", "Share a robot among clients by priority."),
     "base": ("base", "base_command", "Simulate a mobile base with sonars."),
     "base-client": ("base", "base_client_command", "Run one client of the wall-following experiments."),

@@ -10,7 +10,7 @@ import click
 
 from surffollow.cli.facts import print_facts
 from surffollow.cli.map_live import install_command, reset_command, upload_command
-from surffollow.cli.option_types import LENGTH
+from surffollow.cli.option_types import LENGTH, InputFile, SignedArguments
 from surffollow.cli.progress import progress_bar
 from surffollow.errors import UsageError
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from surffollow.map import HeightMap
 
 _FILE = click.Path(dir_okay=False)
-_EXISTING = click.Path(exists=True, dir_okay=False)
+_EXISTING = InputFile()
 _SHADES = " .:-=+*#%@"
 
 
@@ -155,7 +155,7 @@ def compose_command(files: Sequence[str], output: str, grids: int | None, as_jso
     print_facts(_facts(whole), as_json, digits=9)
 
 
-@map_group.command("refocus")
+@map_group.command("refocus", cls=SignedArguments)
 @click.argument("file", type=_EXISTING)
 @click.argument("region", nargs=4, type=LENGTH, metavar="X_MIN Y_MIN X_MAX Y_MAX")
 @click.option("-o", "--output", required=True, type=_FILE, help="Map file to write.")
@@ -178,8 +178,6 @@ def refocus_command(
 
     Grids are as fine as memory (--grids) and --finest allow. Where the size of the grids stays, whole
     grids are moved and no height changes; other sizes are area-weighted means.
-
-    Negative coordinates need `--` before them: refocus -o new.txt old.txt -- -1 -1 1 1
     """
     from surffollow.map import HeightMap
     from surffollow.map.files import check_suffix, export

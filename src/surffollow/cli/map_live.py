@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from surffollow.cli.option_types import LENGTH, SERVICE_NAME, Finite
+from surffollow.cli.option_types import LENGTH, SERVICE_NAME, Finite, InputFile, SignedArguments
 from surffollow.cli.progress import progress_bar
 
 _NAME = click.option(
@@ -42,7 +42,7 @@ def upload_command(file: str, name: str, timeout_s: float) -> None:
 
 
 @click.command("install")
-@click.argument("file", type=click.Path(exists=True, dir_okay=False))
+@click.argument("file", type=InputFile())
 @_NAME
 @_TIMEOUT
 def install_command(file: str, name: str, timeout_s: float) -> None:
@@ -57,7 +57,7 @@ def install_command(file: str, name: str, timeout_s: float) -> None:
         client.map_install(file, timeout_s=timeout_s, progress=progress)
 
 
-@click.command("reset")
+@click.command("reset", cls=SignedArguments)
 @click.argument("region", nargs=4, type=LENGTH, metavar="X_MIN Y_MIN X_MAX Y_MAX")
 @_NAME
 @_TIMEOUT
@@ -66,8 +66,6 @@ def reset_command(region: tuple[float, float, float, float], name: str, timeout_
 
     The configuration's access.map says who may do that: by default the client that sends the pose, and
     any client while nobody sends it.
-
-    Negative coordinates need `--` before them: reset --name surf -- -1 -1 1 1
     """
     from surffollow.client import attach
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +26,29 @@ class ServiceName(click.ParamType):  # type: ignore[type-arg]  # generic only in
             return check_service_name(value)
         except InvalidNameError as error:
             self.fail(str(error), param, ctx)
+
+
+class InputFile(click.Path):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A file to read. One that is not there is a fault (exit code 1) and no wrong usage."""
+
+    def __init__(self, path_type: type | None = None) -> None:
+        super().__init__(exists=True, dir_okay=False, path_type=path_type)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path, or fail with what it is."""
+        from surffollow.errors import FaultError
+
+        if not os.path.lexists(value):
+            raise FaultError(f"cannot read {os.fspath(value)!r}: {os.strerror(errno.ENOENT)}")
+        return super().convert(value, param, ctx)
+
+
+class SignedArguments(click.Command):
+    """A command whose arguments are numbers: -0.5 is one of them, for no option begins with a digit."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Hide the sign of numbers, which click takes for the dash of an option, behind a space."""
+        return super().parse_args(ctx, [f" {a}" if re.match(r"-\.?\d", a) else a for a in args])
 
 
 class Finite(click.FloatRange):

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 HEADER = Path(__file__).parents[1] / "include" / "surffollow.h"
+HEADERS = (HEADER, HEADER.with_name("surffollow_arbiter.h"))
 
 PKG_CONFIG = """\
 includedir={includedir}
@@ -36,7 +37,7 @@ def pkg_config_text(includedir: str) -> str:
     "--install",
     "prefix",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Copy to PREFIX/include and write PREFIX/lib/pkgconfig/surffollow.pc.",
+    help="Copy it and the arbiter's to PREFIX/include, and write PREFIX/lib/pkgconfig/surffollow.pc.",
 )
 def print_header_command(cflags: bool, pkg_config: bool, as_json: bool, prefix: Path | None) -> None:
     """Print the C header of the client library (C11, C++17, nothing to link), or the layout as JSON."""
@@ -57,14 +58,16 @@ def print_header_command(cflags: bool, pkg_config: bool, as_json: bool, prefix: 
 
 
 def install(prefix: Path) -> None:
-    """Put header and pkg-config file under a prefix, such as /usr/local."""
+    """Put headers and pkg-config file under a prefix, such as /usr/local."""
     includedir = prefix.absolute() / "include"
     pkg_config = prefix / "lib" / "pkgconfig"
     try:
         includedir.mkdir(parents=True, exist_ok=True)
         pkg_config.mkdir(parents=True, exist_ok=True)
-        (includedir / HEADER.name).write_bytes(HEADER.read_bytes())
+        for header in HEADERS:
+            (includedir / header.name).write_bytes(header.read_bytes())
         (pkg_config / "surffollow.pc").write_text(pkg_config_text(str(includedir)), encoding="utf-8")
     except OSError as e:
         raise click.ClickException(f"cannot write to {prefix}: {e.strerror}") from None
-    click.echo(f"{includedir / HEADER.name}\n{pkg_config / 'surffollow.pc'}")
+    for path in (*(includedir / header.name for header in HEADERS), pkg_config / "surffollow.pc"):
+        click.echo(path)

@@ -12,7 +12,12 @@ from surffollow.cli.option_types import DURATION, SERVICE_NAME, SIZE, Finite, ra
 @click.option(
     "--out", type=click.Path(dir_okay=False), default=None, help="File to write.  [default: NAME-TIME.mcap]"
 )
-@click.option("--seconds", type=Finite(min=0.0), default=None, help="Stop after this long.")
+@click.option(
+    "--seconds",
+    type=Finite(min=0.0),
+    default=None,
+    help="Stop after this long. The file begins earlier: with the cycles that the service still holds.",
+)
 @rate_option("Samples per second of the channels for viewers; 0: only what a replay needs.")
 @click.option(
     "--rotate-size", type=SIZE, default=None, help="Begin another file after so many bytes, such as 100MB."

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.cli.option_types import SERVICE_NAME
+from surffollow.cli.option_types import SERVICE_NAME, InputFile
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity
 
@@ -17,11 +17,8 @@ if TYPE_CHECKING:
 OUT = click.Path(dir_okay=False)
 
 
-class PlainFile(click.Path):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+class PlainFile(InputFile):
     """A file to read; a pipe or a device, on which a reader waits for ever, is refused."""
-
-    def __init__(self) -> None:
-        super().__init__(exists=True, dir_okay=False)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path, or fail with what it is."""

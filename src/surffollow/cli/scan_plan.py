@@ -132,7 +132,10 @@ def plan_command(
 @LIVE
 @JSON
 def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> None:
-    """Check a path file against MAP: clearance, flags, limits, coverage. Exit code 1: not accepted."""
+    """Check a path file against MAP: clearance, flags, limits, coverage. Exit code 1: not accepted.
+
+    Speeds may exceed their limits by 2 % and accelerations by 10 %: they are quotients of rounded rows.
+    """
     from surffollow.scan.check import check_path
 
     if len(files) != (2 if live is None else 1):

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import signal
 import sys
-import time
 
 import click
 
+from surffollow.cli.ending import end_process
 from surffollow.cli.entry import ended_at_once_by_interrupts
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
@@ -78,19 +75,7 @@ def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
 
     pid, purged = running_pid(name), False
     if pid:
-        try:
-            ask_to_end(pid, name)
-        except PermissionError:
-            raise ServiceError(
-                f"service {name!r} (pid {pid}) belongs to another user; ask them or root"
-            ) from None
-        deadline = time.monotonic() + timeout
-        while running_pid(name) == pid:
-            if time.monotonic() > deadline:
-                raise ServiceError(
-                    f"service {name!r} (pid {pid}) did not end in {timeout:g} s; kill -9 {pid} is safe"
-                )
-            time.sleep(0.01)
+        end_process(pid, lambda: running_pid(name), f"service {name!r}", timeout)
     if purge:
         purged = purge_leftovers(name)
         if not pid and not purged:
@@ -106,17 +91,6 @@ def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
         import json
 
         print(json.dumps({"name": name, "pid": pid or None, "purged": purged}))
-
-
-def ask_to_end(pid: int, name: str) -> None:
-    """Send SIGTERM to the process that holds the name, never to one that got its number meanwhile."""
-    with contextlib.suppress(ProcessLookupError):
-        process = os.pidfd_open(pid)
-        try:
-            if running_pid(name) == pid:
-                signal.pidfd_send_signal(process, signal.SIGTERM)
-        finally:
-            os.close(process)
 
 
 def running_pid(name: str) -> int:
@@ -137,6 +111,6 @@ def running_pid(name: str) -> int:
 
 def purge_leftovers(name: str) -> bool:
     """Remove the map, and what a killed service left of its board and socket."""
-    from surffollow.service.shared_objects import purge_map
+    from surffollow.service.name_owner import purge_map
 
     return purge_map(name)

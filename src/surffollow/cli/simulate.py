@@ -14,6 +14,7 @@ from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 if TYPE_CHECKING:
     from surffollow.sim.robot_run import Service
+    from surffollow.sim.standstill import Standstill
 
 
 def quantity(unit: str) -> Any:
@@ -80,8 +81,9 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     type=Finite(min=0.0),
     default=10.0,
     show_default=True,
-    help="Seconds to wait for the service.",
+    help="Seconds to wait for the service, and for a valid demand.",
 )
+@click.option("--reset-stop", is_flag=True, help="Reset a stop that is latched at the start.")
 @click.option("--arbiter", type=SERVICE_NAME, help="Obey this arbiter instead of the service itself.")
 @click.option("--resource", default="tool", show_default=True, help="With --arbiter: what to obey.")
 @click.option("--trace", type=click.Path(dir_okay=False), help="Write what happened, step by step (NPZ).")
@@ -104,6 +106,7 @@ def simulate_command(
     turn: bool,
     noise_seed: int,
     wait_s: float,
+    reset_stop: bool,
     arbiter: str | None,
     resource: str,
     trace: str | None,
@@ -112,8 +115,9 @@ def simulate_command(
     """Simulate a robot that moves over rough ground and applies the service's demands.
 
     Ends when its time or its path is over, or on Ctrl-C, SIGTERM or SIGHUP, and prints how it kept its
-    stand-off.
-    Exit code 1 when it stood still for more than a tenth of the time: there was no valid demand.
+    stand-off. Exit code 1 when it stood still for more than a tenth of the time: there was no valid demand.
+    It also ends when an attached service gives no valid demand for the time of --wait, such as one that is
+    stopped. The error names the status bits and the causes of the stop.
     """
     from surffollow.sim.plant import PlantConfig, load_plant
     from surffollow.sim.robot_config import RobotConfig
@@ -133,9 +137,17 @@ def simulate_command(
         seed=noise_seed,
         plant=load_plant(plant) if plant else PlantConfig(),
     )
-    summary = _run(config, name, wait_s, trace, arbiter, resource)
+    from surffollow.sim.standstill import Standstill
+
+    def report(text: str) -> None:
+        click.echo(f"surffollow: {text}", err=True)
+
+    standstill = Standstill(name, wait_s, reset_stop, report)
+    summary = _run(config, name, wait_s, trace, _attachment(name, arbiter, resource), standstill)
     _print_result(summary, as_json)
     one_object_is_printed(click.get_current_context())
+    if standstill.error is not None:
+        raise standstill.error
     from surffollow.sim.robot_run import held_too_long
 
     if held_too_long(summary["ticks"], summary["held_ticks"]):
@@ -205,7 +217,12 @@ def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], S
 
 
 def _run(
-    config: Any, name: str, wait_s: float, trace: str | None, arbiter: str | None, resource: str
+    config: Any,
+    name: str,
+    wait_s: float,
+    trace: str | None,
+    attachment: Callable[[], Service],
+    standstill: Standstill,
 ) -> dict[str, Any]:
     from surffollow.map.formats.atomic_file import check_place, replacing
     from surffollow.sim.robot_run import claim_priority, run_robot
@@ -214,7 +231,7 @@ def _run(
         check_place(trace)
     claim_priority()
     with _StopSignals() as stopped:
-        core, summary = run_robot(config, name, _attachment(name, arbiter, resource), stopped, wait_s)
+        core, summary = run_robot(config, name, attachment, stopped, wait_s, standstill)
     if trace:
         import numpy as np
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
+import time
 from typing import Any
 
 import click
@@ -23,7 +24,7 @@ STARTING = 3  # exit code
     "wait_s",
     type=Finite(min=0.0),
     default=0.0,
-    help="Wait up to so many seconds until it is ready.",
+    help="Wait up to so many seconds until it is ready; a killed one may be started again meanwhile.",
 )
 def status_command(name: str, as_json: bool, audit: bool, wait_s: float) -> None:
     """Say how a service is doing: health, cycles, lateness, clients, map.
@@ -62,9 +63,10 @@ def status_command(name: str, as_json: bool, audit: bool, wait_s: float) -> None
 
 
 def _start_within(name: str, wait_s: float) -> dict[str, Any] | None:
-    """The status of a service that still starts after so long [s]; None: it is ready, or it ended."""
-    import time
+    """The status of a service that still starts after so long [s]; None: it is ready, or it ended.
 
+    A board that a killed service left is no end of the waiting: its supervisor starts the next one.
+    """
     from surffollow.client.board import start_report
     from surffollow.config.trusted_users import trusted_owners
     from surffollow.errors import NotRunningError
@@ -74,12 +76,33 @@ def _start_within(name: str, wait_s: float) -> dict[str, Any] | None:
         late = time.monotonic() >= end
         try:
             report = start_report(name, trusted_owners())
-            if report is None or late:
+            if late or (report is None and _is_alive(name)):
                 return report
         except NotRunningError:
             if late:
                 raise
         time.sleep(0.05)
+
+
+def _is_alive(name: str) -> bool:
+    """Whether a service is ready, its process runs, and it publishes; waits for nothing."""
+    from surffollow.client import observe
+    from surffollow.client.board import Board
+    from surffollow.config.trusted_users import trusted_owners
+    from surffollow.errors import BlockError, NoPermissionError
+
+    try:
+        board = Board(name, ready_timeout_s=0.0, owners=trusted_owners())
+    except NoPermissionError:
+        raise
+    except BlockError:  # not ready, or of another release: the next one may be
+        return False
+    ended = board.has_ended()
+    board.close()
+    if ended:
+        return False
+    with observe(name) as watcher:
+        return bool(watcher.status()["alive"])
 
 
 def audit_lines(status: dict[str, Any]) -> list[str]:
@@ -174,7 +197,7 @@ def render(s: dict[str, Any]) -> str:
         lines.insert(5, f"standoff {1e3 * s['params']['offset_m']:.6g} mm")
     lines[5:5] = follower_lines(s["follower"])
     if s["stopped"]:
-        lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it")
+        lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it (reset_stop)")
     if s["faults"]:
         lines.append("faults   " + ", ".join(f"{f['number']} {f['name']}" for f in s["faults"]))
     if main.get("text"):

@@ -6,12 +6,12 @@ from surffollow.errors import ConfigError, SurffollowError
 
 
 def group_id(name: str, error: SurffollowError) -> int:
-    """Look a group up by its name.
+    """Look a group up by its name or number.
 
     Parameters
     ----------
     name : str
-        of the group; "" for none
+        of the group, or its number; "" for none
     error : SurffollowError
         raised when there is no such group
 
@@ -27,6 +27,8 @@ def group_id(name: str, error: SurffollowError) -> int:
     try:
         return grp.getgrnam(name).gr_gid
     except KeyError:
+        if name.isascii() and name.isdigit():
+            return int(name)
         raise error from None
 
 

@@ -13,6 +13,7 @@ from surffollow.errors import ConfigError
 from surffollow.units import is_bare, parse_quantity
 
 INCH_M = 0.0254
+SWITCH = ("off", "on")  # False and True, too
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ PARAMS: dict[str, ParamSpec] = {
     "step_samples": ParamSpec(3, 1, 100, whole=True),
     "max_wait_s": ParamSpec(0.005, 0.0, 100.0, "s"),
     "plan_effort_s4": ParamSpec(6e-8, 0.0, 1e12),
-    "orient": ParamSpec(1, 0, 1, whole=True, choices=("off", "on")),
+    "orient": ParamSpec(1, 0, 1, whole=True, choices=SWITCH),
     "max_turn_rad": ParamSpec(0.35, 0.0, 1.6, "rad"),
     "permitted_turn_rad": ParamSpec(1e-3, 0.0, 1.6, "rad"),
     "deadband_share": ParamSpec(0.1, 0.0, 10.0),
@@ -75,7 +76,7 @@ PARAMS: dict[str, ParamSpec] = {
     "max_turn_speed_radps": ParamSpec(1.0, 1e-6, 1e4, "rad/s"),
     "max_turn_accel_radps2": ParamSpec(20.0, 1e-9, 1e8, "rad/s^2"),
     "max_tilt_rad": ParamSpec(0.8, 0.0, 1.5, "rad"),
-    "preview": ParamSpec(1, 0, 1, whole=True, choices=("off", "on")),
+    "preview": ParamSpec(1, 0, 1, whole=True, choices=SWITCH),
 }
 
 _UNIT_ENDING = re.compile(r"_(?:ns|s|m|rad)(?:ps)?\d?$")
@@ -91,8 +92,8 @@ def check_param(name: str, value: object) -> float:
     name : str
         one of `PARAMS`, with or without its unit ending ("offset" = "offset_m")
     value : object
-        a number, text with a unit, or one of the parameter's choices. A number without a unit is in SI
-        units. That of a duration in ns needs the full name ("hold_ns"), or is 0
+        a number, text with a unit, or one of the parameter's choices; False and True for off and on. A
+        number without a unit is in SI units. That of a duration in ns is 0, or needs the full name ("hold_ns")
 
     Raises
     ------
@@ -104,8 +105,11 @@ def check_param(name: str, value: object) -> float:
         if value not in spec.choices:
             raise ConfigError(f"parameter {name} is {value!r}; it must be one of {', '.join(spec.choices)}")
         return float(spec.choices.index(value))
-    if isinstance(value, bool) and spec.high == 1:
-        return float(value)
+    if isinstance(value, bool):
+        if spec.choices == SWITCH:
+            return float(value)
+        expected = f"one of {', '.join(spec.choices)}" if spec.choices else "a number"
+        raise ConfigError(f"parameter {name} is {value}; it must be {expected}")
     try:
         number = parse_quantity(value, spec.unit)
     except ValueError as e:

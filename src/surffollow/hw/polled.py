@@ -157,6 +157,9 @@ class PolledDriver:
         """Present faults."""
         state, name = self.state, self._source.name
         if state == WAITING:
+            begun = self._fault or self.connections
+            if not begun and time.monotonic_ns() - self._received_ns <= self._silence_ns:
+                return []  # the first attempt of a start
             return [f"{name}: {self._fault or 'not connected yet'}; it is tried again every {RETRY_S:g} s"]
         if state in (SILENT, GARBLED):
             now_ns = time.monotonic_ns()

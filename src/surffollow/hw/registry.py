@@ -15,7 +15,7 @@ from surffollow.hw.calibration import load_calibration
 from surffollow.hw.driver import Driver
 from surffollow.hw.fault_injection import FaultyDriver
 from surffollow.hw.fault_schedule import FaultConfig
-from surffollow.hw.replayed import ReplayedDriver
+from surffollow.hw.replayed import ReplayConfig, ReplayedDriver
 from surffollow.hw.silent import SilentDriver
 from surffollow.hw.simulation.led_config import LedConfig
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig
@@ -25,10 +25,6 @@ from surffollow.units import parse_quantity
 
 class _NoSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pass
-
-
-class _Replay(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    file: str
 
 
 class _Faults(msgspec.Struct, frozen=True):
@@ -47,7 +43,8 @@ def _none(settings: dict[str, Any], name: str) -> Driver:
 
 
 def _replay(settings: dict[str, Any], name: str) -> Driver:
-    return ReplayedDriver.from_file(msgspec.convert(settings, _Replay).file)
+    config = msgspec.convert(settings, ReplayConfig)
+    return ReplayedDriver.from_file(config.file, config)
 
 
 Factory = Callable[[dict[str, Any], str], Driver]

@@ -471,6 +471,18 @@ static inline int64_t sfb_latest(const sfb_block *block, void *payload, int64_t 
   return -1;
 }
 
+/* Copy a Text member to `out`, which has room for field_bytes + 1, and end it with a NUL. A text that fills its
+ * member has no NUL there: strlen, strcpy and printf("%s") of the member read beyond it.
+ * Returns the length of the text, without the NUL. */
+static inline size_t sfb_text(char *out, const char *field, size_t field_bytes) {
+  const void *nul = memchr(field, 0, field_bytes);
+  const size_t n = nul == NULL ? field_bytes : SF_CAST(size_t, SF_CAST(const char *, nul) - field);
+  memcpy(out, field, n);
+  out[n] = 0;
+  return n;
+}
+
+/* Unmap the block. */
 static inline void sfb_close(sfb_block *block) {
   if (block->memory != NULL) munmap(block->memory, block->size);
   block->memory = NULL;

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import FaultError, UsageError
+from surffollow.errors import FaultError, UsageError, install_command
 from surffollow.map.formats.atomic_file import replacing
 
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -59,7 +59,7 @@ def check_figure(path: str | Path) -> None:
     if Path(path).suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: figures end in {', '.join(SUFFIXES)}; choose one of them")
     if find_spec("matplotlib") is None:
-        raise FaultError("drawing needs matplotlib: install the extra 'plot' (surffollow[plot])")
+        raise FaultError(f"drawing needs matplotlib: {install_command('plot')}")
 
 
 def new_figure(size_in: tuple[float, float] = A4_IN) -> Any:
@@ -103,7 +103,7 @@ def spans(t: NDArray[np.float64], where: NDArray[np.bool_]) -> list[tuple[float,
 
 
 def shade(ax: Any, found: list[tuple[float, float]], color: str, label: str) -> None:
-    """Shade spans of time; one entry in the legend.
+    """Shade spans of time; one entry in the legend. A span narrower than a line is drawn as one.
 
     Parameters
     ----------
@@ -118,7 +118,9 @@ def shade(ax: Any, found: list[tuple[float, float]], color: str, label: str) -> 
     # one collection: thousands of spans take a minute one by one
     corners = [((a, 0.0), (a, 1.0), (b, 1.0), (b, 0.0)) for a, b in found]
     place = ax.get_xaxis_transform()
-    spans_drawn = PolyCollection(corners, facecolor=color, lw=0, zorder=0, label=label, transform=place)
+    spans_drawn = PolyCollection(
+        corners, facecolor=color, edgecolor=color, lw=1.0, zorder=0, label=label, transform=place
+    )
     ax.add_collection(spans_drawn, autolim=False)
 
 

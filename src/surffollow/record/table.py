@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import FaultError, RecordingError
+from surffollow.errors import FaultError, RecordingError, install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.record.samples import Event
 from surffollow.record.sampling import FileSamples
@@ -134,8 +134,6 @@ def write_parquet(path: str | Path, table: Table) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        raise FaultError(
-            "Parquet needs pyarrow: install the extra 'parquet' (surffollow[parquet]), or take --to csv"
-        ) from None
+        raise FaultError(f"Parquet needs pyarrow: {install_command('parquet')}, or take --to csv") from None
     with replacing(path) as temporary:
         pq.write_table(pa.table({k: np.ascontiguousarray(v) for k, v in table.items()}), temporary)

@@ -28,7 +28,7 @@ from surffollow.scan.check_placement import control_points, rotations
 
 ANGLE_SPARE_RAD = 1e-6
 CHORD_RAD = 0.01  # angles, mixed linearly between rows, leave their limits by less
-MOTION_SPARE = 1.02
+MOTION_SPARE, ACCELERATION_SPARE = 1.02, 1.1  # quotients of differences of rows
 OUT_OF_REACH, WRIST_LIMIT = 64, 8
 
 
@@ -158,13 +158,16 @@ def _motion(t: Array, position: Array, speed: float, acceleration: float, climb:
     steep = float(np.nanmax(up)) if np.isfinite(up).any() else 0.0
     change = np.abs(np.diff(across)) / (0.5 * (dt[1:] + dt[:-1]))
     hard = float(change.max()) if len(change) else 0.0
+    spare, hard_spare = f"(tolerance {MOTION_SPARE - 1:.0%})", f"(tolerance {ACCELERATION_SPARE - 1:.0%})"
     return [
-        Finding("speed", fast <= speed * MOTION_SPARE, f"{fast:.4g} m/s of {speed:g} m/s", fast),
-        Finding("climb", steep <= climb * MOTION_SPARE, f"{steep:.4g} m/s of {climb:g} m/s upwards", steep),
+        Finding("speed", fast <= speed * MOTION_SPARE, f"{fast:.4g} m/s of {speed:g} m/s {spare}", fast),
+        Finding(
+            "climb", steep <= climb * MOTION_SPARE, f"{steep:.4g} m/s of {climb:g} m/s upwards {spare}", steep
+        ),
         Finding(
             "acceleration",
-            hard <= acceleration * 1.1,
-            f"{hard:.4g} m/s² of {acceleration:g} m/s² along the path",
+            hard <= acceleration * ACCELERATION_SPARE,
+            f"{hard:.4g} m/s² of {acceleration:g} m/s² along the path {hard_spare}",
             hard,
         ),
     ]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from surffollow.errors import ScanFileError
+from surffollow.errors import ScanFileError, install_command
+from surffollow.map.formats.npz import DAMAGED_ARCHIVE
 from surffollow.scan.camera import Camera
 from surffollow.scan.checks import Floats, plain_file
 
@@ -118,11 +118,18 @@ def _npz(path: Path) -> tuple[Floats, str]:
         with np.load(path, allow_pickle=False) as data:
             for key, kind in KEYS.items():
                 if key in data:
-                    return np.asarray(data[key], np.float64), kind
+                    return _real(data[key], path, key), kind
             names = list(data)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, TypeError, AttributeError) as e:
-        raise ScanFileError(f"cannot read {path}: {e}") from e
+    except DAMAGED_ARCHIVE as e:
+        raise ScanFileError(f"cannot read {path}: {e}; it is damaged, or no NPZ file") from e
     raise ScanFileError(f"{path} holds {', '.join(names) or 'nothing'}; expected depth_m or disparity_px")
+
+
+def _real(values: Any, path: Path, key: str) -> Floats:
+    """The values as float64; complex numbers, texts and records are none."""
+    if values.dtype.kind not in "biuf":
+        raise ScanFileError(f"{key} of {path} has the type {values.dtype}; expected real numbers")
+    return np.asarray(values, np.float64)
 
 
 def _tiff(path: Path) -> tuple[Floats, str]:
@@ -132,14 +139,17 @@ def _tiff(path: Path) -> tuple[Floats, str]:
         import rasterio
         from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
     except ImportError as e:
-        raise ScanFileError("TIFF images need rasterio: install the extra 'geo' (surffollow[geo])") from e
+        raise ScanFileError(f"TIFF images need rasterio: {install_command('geo')}") from e
     import warnings
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with rasterio.open(path) as source:
-                return np.asarray(source.read(1, masked=True).astype(np.float64).filled(np.nan)), "depth"
+                band = source.read(1, masked=True)
+            if band.dtype.kind not in "biuf":
+                raise ScanFileError(f"{path} has the type {band.dtype}; expected real numbers")
+            return np.asarray(band.astype(np.float64).filled(np.nan)), "depth"
     except RasterioIOError as e:
         raise ScanFileError(f"cannot read {path}: {e}") from e
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.errors import ScanFileError
+from surffollow.errors import ScanFileError, install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.map.formats.picture import shaded_relief
 from surffollow.scan.grid import FILLED, TerrainGrid
@@ -22,7 +22,7 @@ def new_figure(columns: int, width: float, height: float) -> tuple[Any, Any]:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as e:
-        raise ScanFileError("a picture needs matplotlib: install the extra 'plot' (surffollow[plot])") from e
+        raise ScanFileError(f"a picture needs matplotlib: {install_command('plot')}") from e
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(1, columns)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surffollow.errors import ScanFileError, ScanInputError
+from surffollow.errors import ScanFileError, ScanInputError, install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.checks import Floats, positive, real_array, region_of
 
@@ -144,7 +144,7 @@ def check_geotiff() -> None:
         the extra `geo` is not installed
     """
     if importlib.util.find_spec("rasterio") is None:
-        raise ScanFileError("GeoTIFF needs rasterio: install the extra 'geo' (surffollow[geo])")
+        raise ScanFileError(f"GeoTIFF needs rasterio: {install_command('geo')}")
 
 
 def signal_map(

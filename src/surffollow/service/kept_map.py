@@ -10,7 +10,6 @@ import numpy as np
 from surffollow.config.service import ServiceConfig, map_rounding, metres, mode
 from surffollow.config.trusted_users import own_user
 from surffollow.errors import (
-    AlreadyRunningError,
     BlockError,
     ConfigError,
     NoPermissionError,
@@ -19,27 +18,7 @@ from surffollow.errors import (
 from surffollow.map.header import header_fault, init_header
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
-from surffollow.shm.name_lock import NameLock, holder
 from surffollow.shm.objects import SharedObject
-
-
-def take_name(name: str) -> NameLock:
-    """Become the owner of a service's name and of its map.
-
-    Raises
-    ------
-    AlreadyRunningError, NoPermissionError, BlockError, NoSpaceError
-    """
-    lock = NameLock.take(name)
-    if lock is None:
-        pid = holder(name)
-        who, how = f"pid {pid}", f"stop it with `surffollow stop --name {name}`"
-        if pid <= 0:
-            who, how = "in another pid namespace, a container perhaps", "stop it there"
-        raise AlreadyRunningError(
-            f"service {name!r} runs already ({who}); {how}, or start this one under another name (--name)"
-        )
-    return lock
 
 
 def take_map(config: ServiceConfig, group: int) -> tuple[SharedObject, bool]:

@@ -19,7 +19,8 @@ from surffollow.errors import (
     NoPermissionError,
     NoSpaceError,
 )
-from surffollow.service.kept_map import check_kept_map, take_map, take_name
+from surffollow.service.kept_map import check_kept_map, take_map
+from surffollow.service.name_owner import take_name
 from surffollow.service.slot_memory import SlotMemory
 from surffollow.service.slot_server import BACKLOG
 from surffollow.service.stale_objects import clear_stale
@@ -179,18 +180,3 @@ def _fill_headers(objects: SharedObjects) -> None:
     h["n_regions"] = len(board_regions.BOARD_PARTS)
     h["magic"] = lb.BOARD_MAGIC
     objects.header[...] = header
-
-
-def purge_map(name: str) -> bool:
-    """Remove the kept map of a name and what a killed service left; False when there was nothing.
-
-    Raises
-    ------
-    AlreadyRunningError, NoPermissionError, BlockError
-    """
-    lock = take_name(name)
-    try:
-        purged = unlink(f"{name}.map")
-        return clear_stale(name) or purged
-    finally:
-        lock.release()

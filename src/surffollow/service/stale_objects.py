@@ -9,15 +9,13 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
+from surffollow.client.board import unpack_schema
 from surffollow.config.names import check_object_name
 from surffollow.errors import AlreadyRunningError, BlockError, NoPermissionError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.checked_open import kind_of, open_plain
-from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.objects import SHM_ROOT, unlink
 from surffollow.shm.process import belongs_to, boot_id, is_running
 from surffollow.shm.unix_socket import socket_path
@@ -58,12 +56,11 @@ def _live_owner(found: _Found) -> int:
     """The pid of the live service whose board this is; 0 when it is no board, or a dead one's."""
     if len(found.head) < lb.BoardHeader.SIZE:
         return 0
-    header: Any = np.frombuffer(found.head, numpy_dtype(lb.BoardHeader))
-    h = header[0]
-    pid = int(h["pid"])
-    if int(h["magic"]) != lb.BOARD_MAGIC or bytes(h["boot_id"]) != boot_id().encode():
+    h = unpack_schema(lb.BoardHeader, found.head)
+    pid = h["pid"]
+    if h["magic"] != lb.BOARD_MAGIC or h["boot_id"] != boot_id():
         return 0
-    if pid <= 0 or not is_running(pid, int(h["start_ticks"])):
+    if pid <= 0 or not is_running(pid, h["start_ticks"]):
         return 0
     # any user may write a board: only the object's own user can be its service
     return pid if belongs_to(pid, found.owner) else 0

@@ -72,7 +72,7 @@ def c_name(schema: type[Schema], prefix: str = "sf_") -> str:
     return prefix + re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", schema.__name__).lower()
 
 
-def _member(f: Field, prefix: str) -> str:
+def _member(f: Field, prefix: str, text_note: str) -> str:
     if f.nested is not None:
         kind = c_name(f.nested, prefix)
     else:
@@ -80,7 +80,8 @@ def _member(f: Field, prefix: str) -> str:
     natural = f.nested.ALIGN if f.nested is not None else f.item_size
     align = f"SF_ALIGNAS({f.extra_align}) " if f.extra_align > natural else ""
     count = f"[{f.count}]" if f.count > 1 or f.is_text else ""
-    note = " ".join(x for x in (f"[{f.unit}]" if f.unit else "", _ascii(f.doc)) if x)
+    doc = "; ".join(x for x in (_ascii(f.doc), text_note if f.is_text else "") if x)
+    note = " ".join(x for x in (f"[{f.unit}]" if f.unit else "", doc) if x)
     return f"  {align}{kind} {f.name}{count};" + (f" /* {note} */" if note else "")
 
 
@@ -90,13 +91,14 @@ def _ascii(text: str) -> str:
     return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")
 
 
-def c_struct(schema: type[Schema], prefix: str = "sf_") -> str:
+def c_struct(schema: type[Schema], prefix: str = "sf_", text_note: str = "") -> str:
     """A schema as a C structure, with an assertion for its size, its alignment and every offset.
 
     Parameters
     ----------
     schema : type[Schema]   nested schemas must have been written before
     prefix : str            of the structure's name
+    text_note : str         in the comments of its text members
 
     Returns
     -------
@@ -105,7 +107,11 @@ def c_struct(schema: type[Schema], prefix: str = "sf_") -> str:
     name = c_name(schema, prefix)
     text = "layout of " + name
     lines = [f"/* {_ascii((schema.__doc__ or '').strip().splitlines()[0])} */"] if schema.__doc__ else []
-    lines += [f"typedef struct {name} {{", *(_member(f, prefix) for f in schema.FIELDS), f"}} {name};"]
+    lines += [
+        f"typedef struct {name} {{",
+        *(_member(f, prefix, text_note) for f in schema.FIELDS),
+        f"}} {name};",
+    ]
     lines.append(f'SF_STATIC_ASSERT(sizeof({name}) == {schema.SIZE}, "{text}");')
     lines += [f'SF_STATIC_ASSERT(offsetof({name}, {f.name}) == {f.offset}, "{text}");' for f in schema.FIELDS]
     return "\n".join(lines) + "\n"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import zipfile
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import UsageError
+from surffollow.map.formats.npz import DAMAGED_ARCHIVE
 from surffollow.sim.column_file import read_columns
 
 NEEDED = ("x_m", "y_m")
@@ -117,12 +117,14 @@ def _read_npz(file: str) -> dict[str, NDArray[np.float64]]:
     try:
         with np.load(file, allow_pickle=False) as stored:
             found = {name: stored[name] for name in stored.files}
+        if any(v.dtype.kind not in "biuf" for n, v in found.items() if n in KNOWN or v.ndim == 1):
+            raise TypeError("no real numbers")
         return {
             n: np.atleast_1d(np.asarray(v, np.float64)) for n, v in found.items() if n in KNOWN or v.ndim == 1
         }
     except OSError as error:
         raise UsageError(f"cannot read the path '{file}': {error.strerror or error}") from None
-    except (ValueError, zipfile.BadZipFile, AttributeError, TypeError, EOFError):
+    except DAMAGED_ARCHIVE:
         raise UsageError(
             f"path '{file}' is no NPZ file of numbers; numpy.savez(FILE, x_m=…, y_m=…) writes one"
         ) from None

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from surffollow.errors import FaultError, NotRunningError, PoseError
 from surffollow.sim.robot import RobotCore
 from surffollow.sim.robot_config import RobotConfig
+from surffollow.sim.standstill import Standstill, Stoppable
 from surffollow.sim.world import WorldWriter
 
 RETRY_NS = 200_000_000
@@ -32,15 +33,18 @@ class SomeDemand(Protocol):
     def pose_t_ns(self) -> int: ...
     @property
     def epoch(self) -> int: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
     def __getitem__(self, index: int, /) -> float: ...
 
 
-class Service(Protocol):
+class Service(Stoppable, Protocol):
     """The part of `surffollow.client.Client` that the robot needs."""
 
     def ee_pos(self, pose: Sequence[float], t_ns: int | None = None) -> None: ...
     def dev_vector(self) -> SomeDemand: ...
     def claim_pose(self) -> None: ...
+    def release_pose(self) -> None: ...
     def sf_reset(self, offset_m: float) -> object: ...
     def close(self) -> None: ...
 
@@ -67,10 +71,13 @@ class Controller:
     ----------
     core : Core
     attach : makes an attachment, or raises a `FaultError`
+    standstill : notes why there is no valid demand
     """
 
-    def __init__(self, core: Core, attach: Callable[[], Service]) -> None:
-        self._core, self._attach = core, attach
+    def __init__(
+        self, core: Core, attach: Callable[[], Service], standstill: Standstill | None = None
+    ) -> None:
+        self._core, self._attach, self._standstill = core, attach, standstill
         self._service: Service | None = None
         self._retry_ns = self._epoch = 0
         self.ticks = self.held = self.refused = self.attachments = 0
@@ -142,6 +149,11 @@ class Controller:
             else:
                 core.hold()
             self.held += core.is_holding
+            if self._standstill is not None:
+                if demand.valid:
+                    self._standstill.moves()
+                else:
+                    self._standstill.stands(core.t_ns, demand.names, self._service)
             for t_ns, pose in reports:
                 self._service.ee_pos(pose.tolist(), t_ns)
         except PoseError:
@@ -151,6 +163,13 @@ class Controller:
             core.hold()
             self.close()
             self._retry_ns = core.t_ns + RETRY_NS
+
+    def release(self) -> None:
+        """End in good order: give the pose back, which is no loss of it, and the attachment."""
+        if self._service is not None:
+            with contextlib.suppress(FaultError):
+                self._service.release_pose()
+        self.close()
 
     def close(self) -> None:
         """Give the attachment back."""
@@ -179,6 +198,7 @@ def run_robot(
     attach: Callable[[], Service],
     stopped: Callable[[], bool],
     wait_s: float = 10.0,
+    standstill: Standstill | None = None,
 ) -> tuple[RobotCore, dict[str, Any]]:
     """Run the robot of service `name` in wall time until its task is done or `stopped()`.
 
@@ -189,6 +209,7 @@ def run_robot(
     attach : see `Controller`
     stopped : asked before the block exists, while waiting, and in every period
     wait_s : how long to wait for the service at the start [s]
+    standstill : notes why there is no valid demand; its `error` ends the run
 
     Returns
     -------
@@ -207,16 +228,16 @@ def run_robot(
     if stopped():
         raise KeyboardInterrupt
     world = WorldWriter(name)
-    controller = Controller(core, attach)
+    controller = Controller(core, attach, standstill)
     try:
         controller.connect(wait_s, stopped)
         core.restart_clock(time.monotonic_ns())
         tick_ns = round(1e9 / config.plant.tick_hz)
-        while not (core.done or stopped()):
+        while not (core.done or stopped() or (standstill is not None and standstill.error)):
             controller.tick()
             core.advance(core.t_ns + tick_ns, world.latch)
     finally:
-        controller.close()
+        controller.release()
         world.close()
     summary = core.summary() | {
         "ticks": controller.ticks,

@@ -12,8 +12,8 @@ import math
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
-from surffollow.forecast.sensing.mean_range import MAX_READINGS, mean_band_m, mean_samples
-from surffollow.forecast.sensing.response import ERROR_MOTION, MOTION_BANDS
+from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_band_m, mean_samples
+from surffollow.forecast.sensing.response import MOTION_BANDS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.errors import BlockError, NotRunningError
+from surffollow.errors import BlockError, NotReadyError, NotRunningError
 from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight, PoseQueue, mounts_of
 from surffollow.hw.driver_thread import CONTROL_WORDS, STOP, DriverThread
 from surffollow.hw.simulation import adc
@@ -42,6 +42,7 @@ NOTHING_REPORTED = (
     "no pose is reported, so the simulated sensor sees nothing; send poses (client.ee_pos), publish the "
     "true one (client.sim_pose) or start a simulated robot (surffollow simulate)"
 )
+NOTHING_PUBLISHED = "the simulated robot has published no pose yet; the simulated sensor sees nothing"
 REPORTED_POSES_NOTE = (
     "the simulated sensor takes its pose from the reports, so errors of the reports cancel; publish the true "
     "pose (client.sim_pose) to have them count"
@@ -87,6 +88,8 @@ class SimulatedDriver:
         self._watcher: threading.Thread | None = None
         self._end = threading.Event()
         self._fault = ""
+        self._absent = False  # the fault is that no robot publishes its pose
+        self._had_pose = False  # since the start
         self.reports = PoseQueue()
         near_m, far_m = self._config.led.window_m
         scale_m, zero_m = adc.calibration(near_m, far_m)
@@ -121,7 +124,7 @@ class SimulatedDriver:
             rig["next_number"] = adc.first_number_from(time.monotonic_ns())  # compiling took its time
             run_rig(control, rig, self._led, history, field.heights_m, frame, world, poses)
 
-        self._thread.control[POSE_T] = 0
+        self._thread.control[POSE_T], self._had_pose = 0, False
         self._thread.start(kernel, keep=queue)
         self._end.clear()
         self._watcher = threading.Thread(target=self._watch, name=f"{self._name}-world", daemon=True)
@@ -144,12 +147,14 @@ class SimulatedDriver:
         """Present faults."""
         if not self._thread.running:
             return ["the simulated sensors are not started"]
+        if self._awaits_first_pose():
+            return [self._fault] if self._fault and not self._absent else []
         if self._fault:
             return [self._fault]
         on_reports = int(self._thread.control[SOURCE]) == FROM_REPORTS
         pose_t_ns = int(self._thread.control[POSE_T])
-        if on_reports and pose_t_ns == 0:
-            return [NOTHING_REPORTED]
+        if pose_t_ns == 0:
+            return [NOTHING_REPORTED if on_reports else NOTHING_PUBLISHED]
         age_ns = time.monotonic_ns() - pose_t_ns
         if age_ns > STALE_WORLD_NS:
             who = "no pose was reported" if on_reports else "the simulated robot has not moved its sensors"
@@ -157,8 +162,20 @@ class SimulatedDriver:
         return []
 
     def notes(self) -> list[str]:
-        """Source of the sensors' pose, when that is not the true one."""
-        return [REPORTED_POSES_NOTE] if int(self._thread.control[SOURCE]) == FROM_REPORTS else []
+        """Source of the sensors' pose, when that is not the true one; that there has been no pose yet.
+
+        The latter is no fault: a service starts before its robot.
+        """
+        on_reports = int(self._thread.control[SOURCE]) == FROM_REPORTS
+        found = [REPORTED_POSES_NOTE] if on_reports else []
+        if self._thread.running and self._awaits_first_pose():
+            found.insert(0, self._fault or (NOTHING_REPORTED if on_reports else NOTHING_PUBLISHED))
+        return found
+
+    def _awaits_first_pose(self) -> bool:
+        """Whether the sensors have had no pose since the start."""
+        self._had_pose |= int(self._thread.control[POSE_T]) != 0
+        return not self._had_pose
 
     def _watch(self) -> None:
         while True:
@@ -188,6 +205,7 @@ class SimulatedDriver:
         try:
             fresh = WorldReader(self._name)
         except (NotRunningError, BlockError) as error:
+            self._absent = isinstance(error, (NotRunningError, NotReadyError))
             self._fault = str(error)
             return
         self._fault = ""

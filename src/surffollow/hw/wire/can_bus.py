@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from surffollow.errors import ConfigError, DriverError
+from surffollow.errors import ConfigError, DriverError, install_command
 from surffollow.hw.driver import Driver, DriverInfo
 from surffollow.hw.polled import PolledDriver
 from surffollow.hw.range_settings import RangeSettings
@@ -129,9 +129,7 @@ def make(settings: dict[str, Any], name: str) -> Driver:
     try:
         import can  # noqa: F401
     except ImportError:
-        raise ConfigError(
-            "driver 'can' needs python-can; install it: pip install 'surffollow[can]'"
-        ) from None
+        raise ConfigError(f"driver 'can' needs python-can; install it: {install_command('can')}") from None
     config = msgspec.convert(settings, CanConfig)
     info = config.info(f"sensor on CAN bus {config.bus}", config.channels)
     return PolledDriver(info, CanSource(config, info), config.silence_s)

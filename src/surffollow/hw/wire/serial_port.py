@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from surffollow.errors import ConfigError, DriverError
+from surffollow.errors import ConfigError, DriverError, install_command
 from surffollow.hw.driver import Driver, DriverInfo
 from surffollow.hw.polled import PolledDriver
 from surffollow.hw.range_settings import RangeSettings
@@ -140,7 +140,7 @@ def make(settings: dict[str, Any], name: str) -> Driver:
         import serial  # noqa: F401
     except ImportError:
         raise ConfigError(
-            "driver 'serial' needs pyserial; install it: pip install 'surffollow[serial]'"
+            f"driver 'serial' needs pyserial; install it: {install_command('serial')}"
         ) from None
     config = msgspec.convert(with_preset(settings), SerialConfig)
     info = config.info(f"serial sensor on {config.port}", config.channels)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import MapFileError, UsageError
+from surffollow.errors import MapFileError, UsageError, install_command
 from surffollow.map import access
 from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.map.formats.raster import Raster
@@ -41,7 +41,7 @@ def _rasterio() -> Any:
     try:
         import rasterio
     except ImportError as e:
-        raise MapFileError("GeoTIFF needs rasterio: install the extra 'geo' (surffollow[geo])") from e
+        raise MapFileError(f"GeoTIFF needs rasterio: {install_command('geo')}") from e
     return rasterio
 
 

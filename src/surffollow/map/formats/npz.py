@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
 import zlib
 from typing import Any
@@ -17,8 +18,9 @@ from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
 
 _FORMAT = "surffollow-map-npz-1"
-# a .npy file, a foreign archive, objects, impossible shapes: each has its own exception in NumPy
-_NOT_OURS = (ValueError, KeyError, TypeError, AttributeError, IndexError, MemoryError, NotImplementedError)
+# a .npy file, a foreign archive, objects, impossible shapes, damage: each has its own exception in NumPy
+_NOT_OURS = (ValueError, KeyError, TypeError, AttributeError, IndexError, MemoryError, RuntimeError)
+DAMAGED_ARCHIVE = (OSError, EOFError, zipfile.BadZipFile, zlib.error, struct.error, *_NOT_OURS)
 
 
 def write_npz(path: FilePath, header: NDArray[Any], pairs: NDArray[Any], progress: Progress | None) -> None:
@@ -70,7 +72,7 @@ def read_npz(path: FilePath) -> tuple[NDArray[Any], NDArray[Any]]:
             if "format" not in data or str(data["format"]) != _FORMAT:
                 raise MapFileError(f"{path} is not a map archive of this version ({_FORMAT})")
             raw, heights, counts = data["header"], data["quanta"], data["counts"]
-    except (OSError, EOFError, zipfile.BadZipFile, zlib.error, *_NOT_OURS) as e:
+    except DAMAGED_ARCHIVE as e:
         raise MapFileError(f"cannot read {path}: {e}") from e
     kinds = (raw.dtype, heights.dtype, counts.dtype)
     if (

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import MapFileError
+from surffollow.errors import MapFileError, install_command
 from surffollow.map import access
 from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.shm import map_layout as ml
@@ -136,7 +136,7 @@ def write_picture(
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as e:
-        raise MapFileError("a picture needs matplotlib: install the extra 'plot' (surffollow[plot])") from e
+        raise MapFileError(f"a picture needs matplotlib: {install_command('plot')}") from e
     heights, counts, spacing, extent = _thinned(header, pairs, progress)
     aspect, remark = aspect_of(*heights.shape)
     side = 0.2 if remark else (extent[3] - extent[2]) / (extent[1] - extent[0])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import MapFileError
+from surffollow.errors import MapFileError, install_command
 from surffollow.map import access
 from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.shm import map_layout as ml
@@ -78,7 +78,7 @@ def write_las(
     try:
         import laspy
     except ImportError as e:
-        raise MapFileError("LAS needs laspy: install the extra 'las' (surffollow[las])") from e
+        raise MapFileError(f"LAS needs laspy: {install_command('las')}") from e
     ny, nx = access.shape_of(header)
     w = header[0]
     grid, quantum = float(w["grid_m"]), float(w["quantum_m"])

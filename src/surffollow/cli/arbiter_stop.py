@@ -1,0 +1,45 @@
+"""`surffollow arbiter stop`."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from surffollow.cli.ending import end_process
+from surffollow.cli.option_types import SERVICE_NAME, Finite
+
+
+@click.command("stop")
+@click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
+@click.option("--purge", is_flag=True, help="Also remove what a killed one left.")
+@click.option(
+    "--timeout", type=Finite(min=0.0), default=10.0, show_default=True, help="Seconds to wait for its end."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
+    """End an arbiter in good order; its resources get their safe command, and it removes its objects.
+
+    A killed one leaves its board and command blocks. The next start replaces them, and --purge removes them.
+    """
+    from surffollow.arbiter.name_owner import purge_arbiter, server_pid
+    from surffollow.config.trusted_users import trusted_owners
+    from surffollow.errors import NotRunningError, ServiceError
+    from surffollow.shm.name_lock import holder, lock_owner
+
+    lock = f"{name}.arbiter"
+    pid, removed = server_pid(name), list[str]()
+    if pid:
+        end_process(pid, lambda: server_pid(name), f"arbiter {name!r}", timeout)
+    elif holder(lock) < 0 and lock_owner(lock) in trusted_owners():
+        raise ServiceError(
+            f"arbiter {name!r} runs as a process that has no number here: in another pid namespace (a "
+            "container), or of a user whose lock this one may not read; stop it there"
+        )
+    if purge:
+        removed = purge_arbiter(name)
+    if not pid and not removed:
+        left = " and none left anything" if purge else "; --purge removes what a killed one left"
+        raise NotRunningError(f"no arbiter {name!r} is running{left}")
+    if as_json:
+        print(json.dumps({"name": name, "pid": pid or None, "removed": removed}))

@@ -1,0 +1,52 @@
+"""End the process that holds a name, and wait for its end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Callable
+
+
+def end_process(pid: int, running_pid: Callable[[], int], what: str, timeout_s: float) -> None:
+    """Send SIGTERM to the process that holds a name, and wait until it holds it no more.
+
+    Parameters
+    ----------
+    pid : int
+        of the process
+    running_pid : callable
+        the pid of the process that holds the name now; 0: none
+    what : str
+        what it is, for errors: "service 'surf'"
+    timeout_s : float
+        longest wait [s]
+
+    Raises
+    ------
+    ServiceError
+        it belongs to another user, or did not end in time
+    """
+    from surffollow.errors import ServiceError
+
+    try:
+        ask_to_end(pid, running_pid)
+    except PermissionError:
+        raise ServiceError(f"{what} (pid {pid}) belongs to another user; ask them or root") from None
+    deadline = time.monotonic() + timeout_s
+    while running_pid() == pid:
+        if time.monotonic() > deadline:
+            raise ServiceError(f"{what} (pid {pid}) did not end in {timeout_s:g} s; kill -9 {pid} is safe")
+        time.sleep(0.01)
+
+
+def ask_to_end(pid: int, running_pid: Callable[[], int]) -> None:
+    """Send SIGTERM to the process that holds the name, never to one that got its number meanwhile."""
+    with contextlib.suppress(ProcessLookupError):
+        process = os.pidfd_open(pid)
+        try:
+            if running_pid() == pid:
+                signal.pidfd_send_signal(process, signal.SIGTERM)
+        finally:
+            os.close(process)

@@ -1,0 +1,45 @@
+"""Take the name of a service; remove what is kept under it.
+
+No NumPy here: `surffollow stop` of a client-only installation imports this.
+"""
+
+from __future__ import annotations
+
+from surffollow.errors import AlreadyRunningError
+from surffollow.service.stale_objects import clear_stale
+from surffollow.shm.name_lock import NameLock, holder
+from surffollow.shm.objects import unlink
+
+
+def take_name(name: str) -> NameLock:
+    """Become the owner of a service's name and of its map.
+
+    Raises
+    ------
+    AlreadyRunningError, NoPermissionError, BlockError, NoSpaceError
+    """
+    lock = NameLock.take(name)
+    if lock is None:
+        pid = holder(name)
+        who, how = f"pid {pid}", f"stop it with `surffollow stop --name {name}`"
+        if pid <= 0:
+            who, how = "in another pid namespace, a container perhaps", "stop it there"
+        raise AlreadyRunningError(
+            f"service {name!r} runs already ({who}); {how}, or start this one under another name (--name)"
+        )
+    return lock
+
+
+def purge_map(name: str) -> bool:
+    """Remove the kept map of a name and what a killed service left; False when there was nothing.
+
+    Raises
+    ------
+    AlreadyRunningError, NoPermissionError, BlockError
+    """
+    lock = take_name(name)
+    try:
+        purged = unlink(f"{name}.map")
+        return clear_stale(name) or purged
+    finally:
+        lock.release()
