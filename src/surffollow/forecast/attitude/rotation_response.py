@@ -16,7 +16,7 @@ from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import rotate, rotation_between, to_world
 from surffollow.forecast.sensing import response
 from surffollow.forecast.sensing.health import dropout_tolerance_s
-from surffollow.forecast.sensing.mean_range import TEST_BAND_FACTOR
+from surffollow.forecast.sensing.mean_range import RUN_SAMPLES, TEST_BAND_FACTOR
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 from surffollow.shm.layout_follow import RUN_NORMAL
@@ -97,7 +97,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     probe = least + params.permitted_turn_rad
     if rotation.phase == ROTATION_RUN:
         rotation.samples += 1
-        if rotation.samples < response.RUN_SAMPLES:  # the mean of the run is the better known one
+        if rotation.samples < RUN_SAMPLES:  # the mean of the run is the better known one
             part = 1.0 / rotation.samples
             run[0], run[1] = run[0] + part * (mean[0] - run[0]), run[1] + part * (mean[1] - run[1])
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
