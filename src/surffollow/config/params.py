@@ -93,7 +93,7 @@ def check_param(name: str, value: object) -> float:
         one of `PARAMS`, with or without its unit ending ("offset" = "offset_m")
     value : object
         a number, text with a unit, or one of the parameter's choices; False and True for off and on. A
-        number without a unit is in SI units. That of a duration in ns is 0, or needs the full name ("hold_ns")
+        number without a unit is in SI units. A duration in ns is 0, or needs the full name ("hold_ns")
 
     Raises
     ------
