@@ -37,7 +37,7 @@ def test_a_folder_of_root_alone_is_named_with_its_mode(make_service: Make) -> No
     line = start_in(make_service(), "mode=755", *AS_NOBODY)
     assert f"user {NOBODY} may make no files in /dev/shm (mode 755, of user 0)" in line
     assert "chmod 1777 /dev/shm" in line
-    assert "-1" not in line
+    assert "user -1" not in line
 
 
 def test_a_read_only_mount_is_named(make_service: Make) -> None:
