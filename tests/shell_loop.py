@@ -86,7 +86,7 @@ class ShellLoop:
             p[name] = value
         self.outputs: list[Any] = []
         self.curves: list[float] = []
-        self.controller = Controller(self.core, lambda: self)
+        self.controller = Controller(self.core, lambda: self)  # type: ignore[arg-type,return-value]  # it is never stopped
         self.controller.connect(0.0)
 
     def claim_pose(self) -> None:

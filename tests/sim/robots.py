@@ -77,6 +77,6 @@ def drive(
 def robot(field: Any = FLAT, **settings: Any) -> tuple[RobotCore, Controller, PerfectService]:
     core = RobotCore(RobotConfig(**settings), field, START)
     service = PerfectService(field)
-    controller = Controller(core, lambda: service)
+    controller = Controller(core, lambda: service)  # type: ignore[arg-type,return-value]  # it is never stopped
     controller.connect(0.0)
     return core, controller, service
