@@ -16,6 +16,7 @@ from surffollow.shm.layout_adaptive import REASON_NAMES, REASON_TIMESTAMPS
 from surffollow.shm.layout_follow import CHANNELS
 
 AHEAD = "timestamps jumped ahead; readings count as new as usual"
+FAST = "timestamps of readings run ahead of those of poses: the sensor's clock is fast"
 # where both arrive
 READINGS_AHEAD = "timestamps of readings lie ahead of those of poses by more than the pose time-out"
 READINGS_BEHIND = "timestamps of readings lie behind those of poses by more than the pose time-out"
@@ -27,6 +28,7 @@ BACK = 0.5  # of the time that tells another clock: timestamps that go back less
 RELEASE = 0.5  # of the shift: timestamps nearer to the mean lead are right again
 # at the reference time 1, divisible by all reference times: whole nanoseconds would not scale bit for bit
 QUANTUM_NS = 1 << 12  # of a shift
+MAX_DRIFT_TAUS = 0.5  # of the mean lead: as for a clock that is slow (`latency_identification`)
 CONFIRMING_TIMES = 2  # reference times after the jump: a single one may itself be late
 
 
@@ -116,7 +118,7 @@ class ReadingStamps:
         self._waits_since = -1
         self._wait_ns = self._wait_from_ns = 0
         self._leads = 0
-        self._lead_ns = self._deviation_ns = 0.0
+        self._lead_ns = self._deviation_ns = self._least_ns = 0.0
 
     def correct(self, t_ns: int) -> int | None:
         """Correct the timestamp of a reading.
@@ -200,6 +202,13 @@ class ReadingStamps:
         rate = max(RATE, 1.0 / self._leads)
         self._deviation_ns += rate * (abs(lead_ns - self._lead_ns) - self._deviation_ns)
         self._lead_ns += rate * (lead_ns - self._lead_ns)
+        if self._leads <= MIN_LEADS or self._lead_ns < self._least_ns:
+            self._least_ns = self._lead_ns
+
+    def is_fast(self, tau_ns: float) -> bool:
+        """Whether the mean lead has grown, to one that no delay explains, at a time constant [ns]."""
+        margin_ns = self._time.interval_ns + DEVIATIONS * self._deviation_ns
+        return self._lead_ns > max(self._least_ns, 0.0) + margin_ns + MAX_DRIFT_TAUS * tau_ns
 
 
 class Offset:
@@ -269,6 +278,10 @@ class Timestamps:
         if any(shift < 0.0 for shift in shifts):
             return REASON_NAMES[REASON_TIMESTAMPS]
         return AHEAD if any(shift > 0.0 for shift in shifts) else ""
+
+    def reason_of_drift(self, tau_ns: float) -> str:
+        """Why timestamps cannot be right, at the axis' time constant [ns]; "": they may be."""
+        return FAST if any(s.is_fast(tau_ns) for s in self._sensors) else ""
 
     def reason_of_offset(self, behind_ns: float, ahead_ns: float) -> str:
         """Why readings and poses do not meet; "": they are apart by less than these times [ns]."""

@@ -64,5 +64,5 @@ def health_report(params: Any, output: Any, stamps: Timestamps) -> tuple[str, st
         apart = stamps.reason_of_offset(behind_ns, timeout_ns)
         if apart:
             return "DROPOUT", apart
-    shifted = stamps.reason_of_shift()
+    shifted = stamps.reason_of_shift() or stamps.reason_of_drift(1e9 * float(output["tau_s"]))
     return ("SUSPECT", shifted) if health == "OK" and shifted else (health, reason)
