@@ -139,7 +139,7 @@ def _command_blocks(name: str) -> list[str]:
         with contextlib.suppress(InvalidNameError, FaultError):
             attached = attach_unknown(block, (own_user(),))
             attached.close()
-            # a name that goes on after another dot is of another arbiter
+            # a name with another dot is of another arbiter
             if attached.schema.HASH == al.Command.HASH and "." not in block[len(name) + 1 :]:
                 found.append(block)
     return found

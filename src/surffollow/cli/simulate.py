@@ -175,7 +175,7 @@ def _print_result(summary: dict[str, Any], as_json: bool) -> None:
 
 
 class _StopSignals:
-    """SIGINT, SIGTERM and SIGHUP end the preparations at once; after the first call a call tells of them.
+    """SIGINT, SIGTERM and SIGHUP end the preparations at once; after the first call a call reports them.
 
     From then on there is a block to remove: a signal interrupts nothing any more.
     """

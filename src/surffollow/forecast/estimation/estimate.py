@@ -28,7 +28,7 @@ def blend_models(adaptive):
         spread += weights.weight[i] * e * e
     estimate.height_m, estimate.slope = h, model_weights.blended(adaptive, bank.slope)
     estimate.sigma_m = math.sqrt(variance + spread)
-    estimate.gain = variance / max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2  # just after an update
+    estimate.gain = variance / noise.assumed_noise_m(adaptive.noise) ** 2  # just after an update
 
 
 @jit
@@ -185,7 +185,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         if comparable and over_ns > estimate.settle_ns:
             model_weights.update_index(params, adaptive, way, dt, h_m + standoff_m)
         noise.update_noise(adaptive, h_m)
-    r = max(adaptive.noise.sigma_m, noise.MIN_NOISE_M) ** 2
+    r = noise.assumed_noise_m(adaptive.noise) ** 2
     if adapt:
         model_bank.adapt_waves(bank, h_m, r, way)
     model_bank.update_bank(bank, h_m, r)

@@ -61,13 +61,11 @@ def _replace_pending(adaptive, innovation_m, travel_m):
 def _needed(params, adaptive, rises_on):
     """Number of pending samples that confirm a step."""
     pending, tau_s, interval_s = adaptive.pending, adaptive.plant.tau_s, adaptive.prediction.interval_s
-    late = params.step_samples * interval_s > CONFIRMATION_TAUS * tau_s
-    # two are enough where steps have stayed, and where a third one comes late
-    steps = (
-        min(params.step_samples, 2) if late or adaptive.gate.slot_likelihood < 0.2 else params.step_samples
-    )
+    needed, late = params.step_samples, params.step_samples * interval_s > CONFIRMATION_TAUS * tau_s
+    if late or adaptive.gate.slot_likelihood < 0.2:  # a third one comes late, or steps have stayed
+        needed = min(needed, 2)
     # in a burst of wrong readings some agree by chance; they delay a step by no more than τ/4
-    return steps + min(pending.rejected, int(0.25 * tau_s / max(interval_s, 1e-6))) - rises_on
+    return needed + min(pending.rejected, int(0.25 * tau_s / max(interval_s, 1e-6))) - rises_on
 
 
 @jit

@@ -10,7 +10,7 @@ neither is so, and the ground would be steep. Below the lowest ground so far suc
 
 import math
 
-from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_band_m, mean_samples
 from surffollow.forecast.sensing.response import MOTION_BANDS
@@ -58,7 +58,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     tool_z_m : float64   height of the tool at that time [m]
     """
     descent, number, share_m = adaptive.descent, mean_samples(adaptive), TESTED_SHARE * params.offset_m
-    band = mean_band_m(max(adaptive.noise.sigma_m, MIN_NOISE_M), number)
+    band = mean_band_m(assumed_noise_m(adaptive.noise), number)
     if descent.t_ns == 0 or not 0 < t_ns - descent.t_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
@@ -67,9 +67,9 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     if adaptive.response.swing_m > 0.0:  # in its test
         begin_descent(adaptive, tool_z_m, descent.reach_m)
         return
-    descent.range_m += (range_m - descent.range_m) / number
     interval_s = adaptive.prediction.interval_s
     fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
+    descent.range_m += (range_m - descent.range_m) / number
     descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)
     descent.most_m = max(descent.most_m + fade * (descent.range_m - descent.most_m), descent.range_m)
     fall_m, rise_m = descent.top_z_m - descent.low_z_m, tool_z_m - descent.low_z_m
@@ -82,20 +82,42 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     newest = min(float(descent.samples), ERROR_MEANS * number)
     descent.error_m += (range_m - params.offset_m - descent.error_m) / newest
     descent.travel_m += adaptive.kinematics.speed_mps * interval_s
-    fall_m, error_m = descent.top_z_m - tool_z_m, descent.error_m
     spread_m = max(0.5 * (descent.most_m - descent.least_m), band)
-    least_m = max(band, LEAST_ERROR * params.offset_m)
+    unexplained = _is_unexplained(params, adaptive, tool_z_m, number, band, spread_m)
+    descent.unexplained = 1 if unexplained else 0
+    # with fewer samples the answer is late, beside a greater spread it does not stand out
+    answers = number >= MAX_READINGS and spread_m < share_m
+    if unexplained and answers and _is_deep(adaptive, t_ns, tool_z_m):
+        descent.tested_m, descent.reach_m = spread_m, 2.0 * descent.reach_m
+
+
+@jit
+def _is_unexplained(params, adaptive, tool_z_m, number, band_m, spread_m):
+    """Whether the mean range is too long for so long and steep a descent, as in `observe_descent`.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState`
+    tool_z_m : float64  height of the tool [m]
+    number : float64    ranges in their mean
+    band_m : float64    change of the mean that noise explains [m]
+    spread_m : float64  half the spread of the means, the band at least [m]
+    """
+    descent, error_m = adaptive.descent, adaptive.descent.error_m
+    fall_m, least_m = descent.top_z_m - tool_z_m, max(band_m, LEAST_ERROR * params.offset_m)
     long = descent.samples > 2.0 * number and error_m > least_m and fall_m > FALL_ERRORS * error_m
     great = error_m * fall_m > ERROR_MOTION * spread_m * params.offset_m
     steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
-    below = abs(adaptive.sample.lead_m) < APART_M
-    descent.unexplained = 1 if long and great and steep and below else 0
-    steeper = fall_m > STEEPER * descent.slope * descent.travel_m
-    deep = tool_z_m < descent.floor_z_m - descent.reach_m
-    answers = number >= MAX_READINGS and spread_m < share_m  # soon, and greater than the spread
-    idle = adaptive.response.phase == RESPONSE_RUN and t_ns >= adaptive.response.settled_ns
-    if descent.unexplained and steeper and deep and answers and idle:
-        descent.tested_m, descent.reach_m = spread_m, 2.0 * descent.reach_m
+    return long and great and steep and abs(adaptive.sample.lead_m) < APART_M
+
+
+@jit
+def _is_deep(adaptive, t_ns, tool_z_m):
+    """Whether the tool falls below the lowest ground, more steeply than that did, and is in no test."""
+    descent, response = adaptive.descent, adaptive.response
+    steeper = descent.top_z_m - tool_z_m > STEEPER * descent.slope * descent.travel_m
+    idle = response.phase == RESPONSE_RUN and t_ns >= response.settled_ns
+    return steeper and tool_z_m < descent.floor_z_m - descent.reach_m and idle
 
 
 @jit

@@ -12,7 +12,7 @@ A descent in which the range varies, and that it does not explain (`descent`), i
 must then change by more than it varied.
 """
 
-from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.estimation.noise import MIN_NOISE_M, assumed_noise_m
 from surffollow.forecast.quantities import APART_M
 from surffollow.forecast.sensing.mean_range import (
     BAND_SIGMAS,
@@ -240,7 +240,7 @@ def _update_test(params, adaptive, t_ns, tool_z_m, number, band_m):
         response.missing_m = max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
     allowed_m = OBEYED[response.rises] * response.lift_m
     obeyed, below_m = response.missing_m < allowed_m, response.ceiling_z_m - tool_z_m
-    if rises and below_m < allowed_m:  # one that another controller leads goes on
+    if rises and below_m < allowed_m:  # one that another controller leads climbs farther
         obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * response.rate_mps
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
     response.repeated = 1 if is_repeated(adaptive.repeats) else 0
@@ -263,7 +263,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     gap_s : float64          after a longer time without samples an answer is awaited anew [s]
     """
     response, number = adaptive.response, mean_samples(adaptive)
-    sigma = max(adaptive.noise.sigma_m, MIN_NOISE_M)
+    sigma = assumed_noise_m(adaptive.noise)
     band = mean_band_m(sigma, number)
     begins = response.t_ns == 0 or t_ns < response.t_ns
     paused, response.t_ns = (t_ns - response.t_ns) * 1e-9 > gap_s, t_ns

@@ -56,7 +56,10 @@ def _fill_cell(adaptive, s_m, h_m):
 
 @jit
 def store_ground(adaptive, s_m, h_m):
-    """Store a height at its arc length; wide cells between samples in a row are filled on a straight line."""
+    """Store a height at its arc length, and fill the cells between it and the one before on a straight line.
+
+    They are filled where the travel is the usual one between two samples, and too long for `buffered_height`.
+    """
     buffer = adaptive.buffer
     gap_m = s_m - buffer.newest_arc_length_m
     usual_m = min(adaptive.kinematics.speed_mps * adaptive.prediction.interval_s, FILLED_CELLS * CELL_M)
