@@ -13,7 +13,7 @@ import math
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_band_m, mean_samples
-from surffollow.forecast.sensing.response import MOTION_BANDS
+from surffollow.forecast.sensing.response import MOTION_BANDS, SWINGS, stop_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
@@ -46,7 +46,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
         e > 0.02 s₀, Δz > 3 e, e Δz > 0.36 B s₀, Δz > 0.2 d, Δz > L
 
     It is to be tested L below the lowest height before, if B < 0.1 s₀ and Δz > 2 m d, unless the tool comes
-    back from another test. The test ends it.
+    back from another test. Falling ground must stay in the window until it is answered. The test ends it.
     L is 0.1 s₀, and twice as much behind each test that the range answers and each fall of s₀, until the tool
     rises. With fewer than eight samples in τ the tool would lag too far behind falling ground in a test.
 
@@ -86,7 +86,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     unexplained = _is_unexplained(params, adaptive, tool_z_m, number, band, spread_m)
     descent.unexplained = 1 if unexplained else 0
     # with fewer samples the answer is late, beside a greater spread it does not stand out
-    answers = number >= MAX_READINGS and spread_m < share_m
+    answers = number >= MAX_READINGS and spread_m < share_m and _has_room(params, adaptive, number, spread_m)
     if unexplained and answers and _is_deep(adaptive, t_ns, tool_z_m):
         descent.tested_m, descent.reach_m = spread_m, 2.0 * descent.reach_m
 
@@ -109,6 +109,25 @@ def _is_unexplained(params, adaptive, tool_z_m, number, band_m, spread_m):
     great = error_m * fall_m > ERROR_MOTION * spread_m * params.offset_m
     steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
     return long and great and steep and abs(adaptive.sample.lead_m) < APART_M
+
+
+@jit
+def _has_room(params, adaptive, number, spread_m):
+    """Whether the spread is known, and the answer comes before falling ground leaves the sensor's window.
+
+    The ground falls at the rate of the tool until the tool, which was held, follows again.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState`
+    number : float64    ranges in their mean
+    spread_m : float64  half the spread of the means [m]
+    """
+    estimate, interval_s = adaptive.estimate, adaptive.prediction.interval_s
+    known = estimate.samples * interval_s > SPREAD_TAUS * adaptive.plant.tau_s
+    behind_s = stop_s(adaptive) + number * interval_s
+    farther_m = SWINGS[0] * spread_m + abs(adaptive.kinematics.climb_mps) * behind_s
+    return known and adaptive.descent.error_m + farther_m < params.range_max_m - params.offset_m
 
 
 @jit
