@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 
+import pytest
+
 from running_service import until
 from surffollow.errors import DriverError
 from surffollow.hw import ConversionQueue, PolledDriver, metre_info
@@ -29,18 +31,18 @@ class SlowDevice:
         pass
 
 
-def test_the_first_attempt_is_no_fault_until_it_fails_or_takes_too_long() -> None:
-    for silence_s, faulty in ((60.0, False), (0.0, True)):
-        device = SlowDevice()
-        driver = PolledDriver(metre_info("laser", 0.05, 0.3), device, silence_s=silence_s)
-        driver.start(ConversionQueue(64))
-        try:
-            # GIVEN an attempt that lasts, THEN only one that takes too long is a fault
-            assert device.asked.wait(60.0)
-            assert bool(driver.faults()) == faulty
-            # WHEN it fails, THEN it is one
-            device.fails.set()
-            until(lambda: driver.faults() and "it is not there" in driver.faults()[0], "the fault")
-        finally:
-            device.fails.set()
-            driver.stop()
+@pytest.mark.parametrize(("silence_s", "faulty"), [(60.0, False), (0.0, True)])
+def test_a_first_attempt_is_no_fault_until_it_fails_or_lasts(silence_s: float, faulty: bool) -> None:
+    device = SlowDevice()
+    driver = PolledDriver(metre_info("laser", 0.05, 0.3), device, silence_s=silence_s)
+    driver.start(ConversionQueue(64))
+    try:
+        # GIVEN an attempt that lasts, THEN only one that takes too long is a fault
+        assert device.asked.wait(60.0)
+        assert bool(driver.faults()) == faulty
+        # WHEN it fails, THEN it is one
+        device.fails.set()
+        until(lambda: driver.faults() and "it is not there" in driver.faults()[0], "the fault")
+    finally:
+        device.fails.set()
+        driver.stop()
