@@ -78,6 +78,16 @@ def test_a_flank_counts_from_its_second_sample_on(seed):
     assert shortfall_m(plain.clearance_m, ours.clearance_m) < 1.1 * BELOW_P_M, scenario
 
 
+def test_a_slope_from_before_the_demand_ended_is_no_slope_of_today():
+    """GIVEN blocked beams that led the tool up and out of the window WHEN they see the ground again, 1 s later
+
+    THEN it comes back without going below. It went 32 mm below: the slopes and curvatures that it had learned
+    of the blocked beams stayed.
+    """
+    scenario = draw("all blocked", 400106)
+    assert play(follower(KINDS["all blocked"].mounts_m), scenario).clearance_m > 0.85 * STANDOFF_M
+
+
 def test_after_a_jump_of_the_height_the_estimate_begins_anew():
     # heights of two frames were blended here: 5.5 mm
     scenario = draw("height jump", 2250)

@@ -148,7 +148,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     gate, bank, estimate, kinematics = adaptive.gate, adaptive.bank, adaptive.estimate, adaptive.kinematics
     dt, since_accepted_ns = (t_ns - estimate.sample_ns) * 1e-9, t_ns - estimate.accepted_ns
     other_frame = estimate.accepted_ns < kinematics.climb_jump_ns and t_ns >= kinematics.jump_ns
-    outdated = travel_m > MAX_TRAVEL_M or since_accepted_ns > params.loss_timeout_ns
+    unseen = adaptive.health.unseen != 0 or since_accepted_ns > params.loss_timeout_ns
+    outdated = travel_m > MAX_TRAVEL_M or unseen
     if estimate.samples == 0 or outdated or other_frame:
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
         return True
