@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from surffollow.forecast.quantities import REPEAT_BAND
+from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.quantities import APART_M, REPEAT_BAND
+from surffollow.forecast.sensing import constant_ranges as c
+from surffollow.forecast.sensing import mean_range as m
 from surffollow.forecast.sensing import response as r
 from surffollow.forecast.sensing.repeated_ranges import REPEAT_RATIO
 
@@ -57,18 +60,18 @@ class NaiveResponse:
             self.repeats += 1
             return
         longer, outlier = self.repeats > self.usual_repeats, abs(range_m - self.repeated_m) > self.gate_m
-        share = 1.0 / r.RUN_SAMPLES if not longer else 0.125 if outlier else 1.0
+        share = 1.0 / m.RUN_SAMPLES if not longer else 0.125 if outlier else 1.0
         if self.phase == RUN:
             self.usual_repeats = (1.0 - share) * self.usual_repeats + share * self.repeats
         self.repeats, self.repeated_m, self.repeated_z_m = 1, range_m, z_m
 
     @property
     def is_quiet(self) -> bool:
-        return self.usual_m > r.MIN_NOISE_M and self.spread_m < r.QUIET_SHARE * self.usual_m
+        return self.usual_m > MIN_NOISE_M and self.spread_m < c.QUIET_SHARE * self.usual_m
 
     @property
     def is_repeated(self) -> bool:
-        return self.repeats >= r.MAX_READINGS and self.repeats >= REPEAT_RATIO * self.usual_repeats
+        return self.repeats >= m.MAX_READINGS and self.repeats >= REPEAT_RATIO * self.usual_repeats
 
     def observe(self, t_ns: int, range_m: float, z_m: float) -> None:
         """One sample of the sensor, with the height of the tool at its time."""
@@ -82,39 +85,39 @@ class NaiveResponse:
             self.in_run = 0
         self.last_ns = t_ns
         self._count_repeats(range_m, z_m)
-        self.number = min(max(self.tau_s / self.interval_s, r.MIN_READINGS), r.MAX_READINGS)
-        most_m = max(r.BAND_SIGMAS * self.sigma_m, r.SWINGS[0] * self.swing_m)
+        self.number = min(max(self.tau_s / self.interval_s, m.MIN_READINGS), m.MAX_READINGS)
+        most_m = max(m.BAND_SIGMAS * self.sigma_m, r.SWINGS[0] * self.swing_m)
         step_m = range_m - self.mean_m
         deviation_m = min(abs(step_m), most_m)
         self.mean_m += math.copysign(deviation_m, step_m) / self.number
-        self.spread_m += (deviation_m - self.spread_m) / (2.0 * r.MIN_MEANS * self.number)
+        self.spread_m += (deviation_m - self.spread_m) / (2.0 * c.MIN_MEANS * self.number)
         if not self.is_quiet:
-            self.usual_m += (self.spread_m - self.usual_m) / r.USUAL_SPREAD_SAMPLES
+            self.usual_m += (self.spread_m - self.usual_m) / c.USUAL_SPREAD_SAMPLES
         self.in_run += 1
-        if self.number < self.in_run < r.RUN_SAMPLES:
+        if self.number < self.in_run < m.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
-        self.band_m = r.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
+        self.band_m = m.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
         often = self.repeats >= max(5, REPEAT_RATIO * self.usual_repeats) and self.usual_repeats > 0.0
         moved = often and abs(z_m - self.repeated_z_m) > self.band_m
         self.unused = self.repeats > 1 and (self.unused or moved)
         allowed_m = self.band_m
         if self.phase != RUN:
-            allowed_m = max(r.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
+            allowed_m = max(m.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
         changed = self.phase != RUN and self.because_repeated and self.repeats == 1
-        self.answer_s = self.delay_s + r.STOP_TAUS * self.tau_s + r.MIN_MEANS * self.number * self.interval_s
+        self.answer_s = self.delay_s + r.STOP_TAUS * self.tau_s + c.MIN_MEANS * self.number * self.interval_s
         if begins or abs(self.mean_m - self.run_m) > allowed_m or changed:
             self.settled_ns = t_ns
             if not begins and (self.phase != RUN or self.lift_m > 0.0):
                 back_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s
                 self.settled_ns = t_ns + int(1e9 * back_s)
-            if begins or abs(range_m - self.mean_m) > r.BAND_SIGMAS * self.sigma_m:
+            if begins or abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m:
                 self.mean_m = range_m
             self._begin_run(z_m)
         elif self.phase == RUN and self.descent_m is not None:
             self._begin_run(z_m)
             least_m, most_m = self.descent_m
             self.run_m, self.swing_m = 0.5 * (least_m + most_m), 0.5 * (most_m - least_m)
-            self.in_run, self.rose, self.because_repeated = r.RUN_SAMPLES, False, False
+            self.in_run, self.rose, self.because_repeated = m.RUN_SAMPLES, False, False
             self.phase, self.begin_ns, self.begin_z_m = HOLD, t_ns, z_m
         elif self.phase == RUN and t_ns < self.settled_ns and not self.is_repeated:
             self._begin_run(z_m)
@@ -129,31 +132,31 @@ class NaiveResponse:
         descent_m, ascent_m = self.top_z_m - z_m, z_m - self.low_z_m
         rises = r.ASCENT_SHARE * ascent_m > descent_m and descent_m < self.band_m
         repeats = self.is_repeated
-        if self.in_run <= r.MIN_MEANS * self.number:
+        if self.in_run <= c.MIN_MEANS * self.number:
             return
-        if rises and self.number <= r.MIN_READINGS and not repeats:
+        if rises and self.number <= m.MIN_READINGS and not repeats:
             return
         motion_m = r.ASCENT_SHARE * ascent_m if rises else descent_m
         rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
-        ahead = abs(self.lead_m) >= r.APART_M
+        ahead = abs(self.lead_m) >= APART_M
         error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
-        no_lag = error_m > r.LAG_TAUS * self.tau_s * rate_mps
+        no_lag = error_m > m.LAG_TAUS * self.tau_s * rate_mps
         work = error_m * motion_m / (self.band_m * self.standoff_m)
-        wrong = error_m > self.band_m and no_lag and work > r.ERROR_MOTION
-        enough = motion_m > r.MOTION_BANDS * self.band_m
+        wrong = error_m > self.band_m and no_lag and work > m.ERROR_MOTION
+        enough = motion_m > c.MOTION_BANDS * self.band_m
         quiet = self.is_quiet
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
-        doubtful = enough and self.number >= r.MAX_READINGS and no_lag and work > r.SHIFT_ERROR_MOTION
+        doubtful = enough and self.number >= m.MAX_READINGS and no_lag and work > c.SHIFT_ERROR_MOTION
         stops_m = rate_mps * (self.delay_s + self.tau_s)
-        far = self.number > r.MIN_READINGS and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
-        distant = motion_m > r.SHIFT_DESCENT * self.standoff_m
-        long = self.in_run > 2.0 * r.MIN_MEANS * self.number
+        far = self.number > m.MIN_READINGS and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
+        distant = motion_m > c.SHIFT_DESCENT * self.standoff_m
+        long = self.in_run > 2.0 * c.MIN_MEANS * self.number
         if long and self.shift_ns is None and (doubtful or distant or suspicious):
             self.shift_ns, self.lift_m = t_ns, r.SHIFT_BANDS * self.band_m
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > self.answer_s
         self.rose, self.because_repeated = rises, repeats and not (wrong or quiet)
         if rises and unanswered:
-            self._lift(t_ns, z_m, self.lift_m + r.MOTION_BANDS * self.band_m + self.tau_s * rate_mps)
+            self._lift(t_ns, z_m, self.lift_m + c.MOTION_BANDS * self.band_m + self.tau_s * rate_mps)
         elif not rises and (unanswered or suspicious or far):
             self.phase, self.begin_ns, self.begin_z_m, self.lift_m = HOLD, t_ns, z_m, 0.0
 
@@ -179,7 +182,7 @@ class NaiveResponse:
         if late_s <= 0.0 or (self.rose and late_s <= longest_s):
             return
         if self.phase == HOLD:
-            self._lift(t_ns, z_m, max(r.MOTION_BANDS * self.band_m, r.SWINGS[1] * self.swing_m))
+            self._lift(t_ns, z_m, max(c.MOTION_BANDS * self.band_m, r.SWINGS[1] * self.swing_m))
             return
         missing_m = self.misses_m if self.rose else max(self.begin_z_m + self.lift_m - z_m, self._lead_m(z_m))
         self.because_repeated = self.is_repeated

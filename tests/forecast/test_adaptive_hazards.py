@@ -79,10 +79,9 @@ def test_a_flank_counts_from_its_second_sample_on(seed):
 
 
 def test_a_slope_from_before_the_demand_ended_is_no_slope_of_today():
-    """GIVEN blocked beams that led the tool up and out of the window WHEN they see the ground again, 1 s later
+    """GIVEN blocked beams that led the tool out of the window WHEN they see the ground again, 1 s later
 
-    THEN it comes back without going below. It went 32 mm below: the slopes and curvatures that it had learned
-    of the blocked beams stayed.
+    THEN it does not go below. It went 32 mm below: slopes and curvatures of blocked beams stayed.
     """
     scenario = draw("all blocked", 400106)
     assert play(follower(KINDS["all blocked"].mounts_m), scenario).clearance_m > 0.85 * STANDOFF_M

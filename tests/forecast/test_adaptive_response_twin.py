@@ -18,7 +18,7 @@ from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN
 from .feeding import default_params
 
 PHASES = RUN, HOLD, LIFT, NONE
-ESTIMATES = "mean_m", "run_range_m", "top_z_m", "low_z_m"
+ESTIMATES = "mean_m", "range_m", "top_z_m", "low_z_m"
 STANDOFF_M, SIGMA_M, GAP_S = 0.1, 2.5e-4, 0.2
 
 
@@ -64,7 +64,7 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         assert PHASES[record["phase"]] == twin.phase, (seed, k)
         assert is_unresponsive(record) == (twin.phase == NONE)
         assert repeats["unused"] == twin.unused, (seed, k)
-        in_kernel.append([repeats["count"], repeats["usual"], *(record[n] for n in ESTIMATES)])
+        in_kernel.append([repeats["count"], repeats["usual"], *(adaptive["run"][n] for n in ESTIMATES)])
         in_twin.append(
             (twin.repeats, twin.usual_repeats, twin.mean_m, twin.run_m, twin.top_z_m, twin.low_z_m)
         )

@@ -25,12 +25,8 @@ def sensor_in(phase):
     a = zeros(AdaptiveState)[0]
     a["kinematics"]["speed_mps"], a["estimate"]["slope_power"] = SPEED_MPS, SLOPE_RMS**2
     a["plant"]["tau_s"], a["prediction"]["interval_s"] = 0.04, INTERVAL_S
-    a["response"]["phase"], a["response"]["slope"], a["response"]["run_samples"] = (
-        phase,
-        SLOPE_BEFORE,
-        SAMPLES,
-    )
-    a["response"]["top_z_m"] = a["setpoint"]["position_m"] = 0.1
+    a["response"]["phase"], a["run"]["slope"], a["run"]["samples"] = phase, SLOPE_BEFORE, SAMPLES
+    a["run"]["top_z_m"] = a["setpoint"]["position_m"] = 0.1
     a["response"]["ceiling_z_m"] = 1.0
     a["setpoint"]["t_ns"] = 1
     return a

@@ -23,6 +23,7 @@ from surffollow.shm.layout_adaptive_estimation import (
 from surffollow.shm.layout_adaptive_sensing import (
     Beams,
     Clock,
+    ConstantRanges,
     Descent,
     Health,
     Hold,
@@ -168,6 +169,7 @@ class AdaptiveState(Schema):
     latency = Nested(Latency)
     sample = Nested(Sample)
     health = Nested(Health)
+    run = Nested(ConstantRanges)
     response = Nested(Response)
     repeats = Nested(Repeats)
     descent = Nested(Descent)

@@ -94,21 +94,29 @@ class Health(Schema):
 RESPONSE_RUN, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_FAILED = range(4)
 
 
-class Response(Schema):
-    """Response of the range to the tool's own motion (`response`)."""
+NO_SIGN, SIGN_FOR_SHIFT, SIGN_FOR_HOLD = range(3)  # of a fault, in a run of constant ranges
 
-    phase = I64(doc="constant range, tested by holding, by lifting; RESPONSE_FAILED: it does not respond")
-    t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none")
+
+class ConstantRanges(Schema):
+    """Run of constant ranges under a tool that moves (`constant_ranges`)."""
+
     mean_m = F64(unit="m", doc="running mean of the range")
     spread_m = F64(unit="m", doc="mean deviation of the ranges from it")
     usual_m = F64(unit="m", doc="the usual one")
-    run_range_m = F64(unit="m", doc="mean range of the run of constant ranges")
-    run_samples = I64(doc="samples since its begin")
+    range_m = F64(unit="m", doc="mean range of the run of constant ranges")
+    samples = I64(doc="samples since its begin")
     standoff_m = F64(unit="m", doc="stand-off then")
     slope = F64(doc="slope of the ground then")
     top_z_m = F64(unit="m", doc="greatest height of the tool in the run")
     low_z_m = F64(unit="m", doc="least height of the tool in the run")
     rate_mps = F64(unit="m/s", doc="mean rate at which it rose or descended in the run")
+
+
+class Response(Schema):
+    """Response of the range to the tool's own motion (`response`)."""
+
+    phase = I64(doc="constant range, tested by holding, by lifting; RESPONSE_FAILED: it does not respond")
+    t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none")
     lift_m = F64(unit="m", doc="by which the setpoint is shifted up in a long run and in a lift")
     rises = I64(doc="1: the tool climbs, or climbed when the test began")
     lead_m = F64(unit="m", doc="excess lead of the unshifted setpoint when the lift began")

@@ -12,10 +12,10 @@ from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
+from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
-from surffollow.forecast.sensing.response import MOTION_BANDS
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit, jit_inlined
 

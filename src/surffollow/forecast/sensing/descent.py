@@ -12,8 +12,9 @@ import math
 
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
+from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
 from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_band_m, mean_samples
-from surffollow.forecast.sensing.response import MOTION_BANDS, SWINGS, stop_s
+from surffollow.forecast.sensing.response import SWINGS, stop_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 

@@ -1,50 +1,47 @@
 """Response of the range to the tool's own motion: an active test of the sensor.
 
-A sensor that no longer sees the ground (stuck, or blocked by something that moves with it) reads a constant
-range with any noise. The ground then seems to move with the tool.
-A follower that tracks a plane well reads a constant range, too, but that is the wanted one, with noise. A
-descent with a constant range that is not the wanted one, or that is repeated, is tested: the tool stops
-(`RESPONSE_HOLD`), and the range must change by the motion that does not take place. If it does not, the tool
-rises (`RESPONSE_LIFT`), and the range must follow. In a longer motion the setpoint is first shifted up by a
-little more than the noise hides. A range that grows by the shift ends the run. An ascent leads away from the
-ground: it is tested by that shift, and then by a greater one, but never held.
+A descent with a constant range that is not the wanted one, or that is repeated, is tested (signs of a fault:
+`constant_ranges`): the tool stops (`RESPONSE_HOLD`), and the range must change by the motion that does not
+take place. If it does not, the tool rises (`RESPONSE_LIFT`), and the range must follow. In a longer motion
+the setpoint is first shifted up by a little more than the noise hides. A range that grows by the shift ends
+the run. An ascent leads away from the ground: it is tested by that shift, and then by a greater one, but
+never held.
 A descent in which the range varies, and that it does not explain (`descent`), is tested likewise. The range
 must then change by more than it varied.
 """
 
-from surffollow.forecast.estimation.noise import MIN_NOISE_M, assumed_noise_m
-from surffollow.forecast.quantities import APART_M
+from surffollow.forecast.estimation.noise import assumed_noise_m
+from surffollow.forecast.sensing.constant_ranges import (
+    MIN_MEANS,
+    MOTION_BANDS,
+    assume_range,
+    begin_run,
+    observe_motion,
+    restart_mean,
+    sign_of_fault,
+    update_mean,
+)
 from surffollow.forecast.sensing.mean_range import (
     BAND_SIGMAS,
-    ERROR_MOTION,
-    LAG_TAUS,
-    MAX_READINGS,
     MIN_READINGS,
-    RUN_SAMPLES,
     TEST_BAND_FACTOR,
-    is_suspicious,
     mean_band_m,
     mean_samples,
 )
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import (
+    NO_SIGN,
     RESPONSE_FAILED,
     RESPONSE_HOLD,
     RESPONSE_LIFT,
     RESPONSE_RUN,
-    ROTATION_FAILED,
+    SIGN_FOR_HOLD,
 )
 
-MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
-SHIFT_ERROR_MOTION = ERROR_MOTION / 6.0  # from which the setpoint is shifted up …
-SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off …
 MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
-SHIFT_BANDS = 2.0  # … by so many bands
+SHIFT_BANDS = 2.0  # by so many bands the setpoint is shifted up
 ASCENT_SHARE = 0.25  # of an ascent counts
-QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
-USUAL_SPREAD_SAMPLES = 256  # in that deviation
-MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 # times the half spread of the ranges before the test of a descent: the answer to a lift, and the lift
 SWINGS = (3.0, 4.5)
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
@@ -58,13 +55,10 @@ ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on g
 
 @jit
 def _begin_run(params, adaptive, tool_z_m):
-    """Begin a run of constant ranges at the present mean, over the present slope, for this stand-off."""
+    """Begin a run of constant ranges, without a test."""
     response = adaptive.response
-    response.slope, response.standoff_m = adaptive.estimate.slope, params.offset_m
-    response.phase, response.run_samples, response.lift_m, response.swing_m = RESPONSE_RUN, 0, 0.0, 0.0
-    response.run_range_m = response.mean_m
-    response.top_z_m = response.low_z_m = tool_z_m
-    response.rate_mps = 0.0
+    begin_run(params, adaptive, tool_z_m)
+    response.phase, response.lift_m, response.swing_m = RESPONSE_RUN, 0.0, 0.0
 
 
 @jit
@@ -85,47 +79,15 @@ def _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m):
     t_ns, tool_z_m, number : as in `_update_run`
     lift_m : float64  by which the setpoint is lifted [m]
     """
-    response, standoff_m = adaptive.response, params.offset_m
+    response, run, standoff_m = adaptive.response, adaptive.run, params.offset_m
     response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
     _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m)
     response.lift_m = response.missing_m = lift_m
-    begun_z_m = response.low_z_m if response.rises != 0 else response.top_z_m
-    room_m = params.range_max_m - response.run_range_m
+    begun_z_m = run.low_z_m if response.rises != 0 else run.top_z_m
+    room_m = params.range_max_m - run.range_m
     seen_z_m = begun_z_m + max(room_m - MARGIN * standoff_m, 0.5 * room_m)
-    least_z_m = tool_z_m + lift_m + response.rate_mps * _answer_s(adaptive, number)
+    least_z_m = tool_z_m + lift_m + run.rate_mps * _answer_s(adaptive, number)
     response.ceiling_z_m = max(min(tool_z_m + MAX_RISE * standoff_m, seen_z_m), least_z_m)
-
-
-@jit
-def _is_quiet(response):
-    """Whether the ranges have far less than their usual noise, which is not below what the bank assumes."""
-    return response.usual_m > MIN_NOISE_M and response.spread_m < QUIET_SHARE * response.usual_m
-
-
-@jit
-def _update_mean(response, range_m, sigma_m, number):
-    """Update the mean of `number` ranges, and that of the run, with a range of standard deviation σ [m]."""
-    most_m = max(BAND_SIGMAS * sigma_m, SWINGS[0] * response.swing_m)
-    deviation_m = min(max(range_m - response.mean_m, -most_m), most_m)
-    response.mean_m += deviation_m / number
-    response.spread_m += (abs(deviation_m) - response.spread_m) / (2.0 * MIN_MEANS * number)
-    if not _is_quiet(response):  # noise far below the usual one is not learned
-        response.usual_m += (response.spread_m - response.usual_m) / USUAL_SPREAD_SAMPLES
-    response.run_samples += 1
-    if number < response.run_samples < RUN_SAMPLES:  # its own mean is the better known one
-        response.run_range_m += (response.mean_m - response.run_range_m) / response.run_samples
-
-
-@jit
-def _responds(adaptive, band_m):
-    """Whether the mean range has left the band of the run, or a range that was repeated has changed."""
-    response = adaptive.response
-    if response.phase == RESPONSE_RUN:
-        least_m, changed = band_m, False
-    else:
-        least_m = max(TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
-        changed = response.repeated != 0 and adaptive.repeats.count == 1
-    return abs(response.mean_m - response.run_range_m) > least_m or changed
 
 
 @jit
@@ -148,37 +110,27 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     number : float64    ranges in their mean
     band_m : float64    the mean has changed when it changes by more [m]
     """
-    response, tau, standoff_m = adaptive.response, adaptive.plant.tau_s, params.offset_m
-    response.top_z_m, response.low_z_m = max(response.top_z_m, tool_z_m), min(response.low_z_m, tool_z_m)
-    descent, ascent = response.top_z_m - tool_z_m, tool_z_m - response.low_z_m
-    rises = ASCENT_SHARE * ascent > descent and descent < band_m  # it has not turned down since
-    response.rate_mps += (abs(adaptive.kinematics.climb_mps) - response.rate_mps) / response.run_samples
-    rate, repeats = response.rate_mps, is_repeated(adaptive.repeats)
-    if response.run_samples <= MIN_MEANS * number:
+    response, run = adaptive.response, adaptive.run
+    descent, ascent = observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
+    ascent *= ASCENT_SHARE
+    rises = ascent > descent and descent < band_m  # it has not turned down since
+    sparse = number <= MIN_READINGS  # the ground changes while an answer is awaited
+    if run.samples <= MIN_MEANS * number or (rises and sparse and not is_repeated(adaptive.repeats)):
         return
-    if rises and number <= MIN_READINGS and not repeats:  # the ground changes while an answer is awaited
-        return
-    motion = ASCENT_SHARE * ascent if rises else descent
-    below = abs(adaptive.sample.lead_m) < APART_M
-    error = abs(response.run_range_m - response.standoff_m) if below else 0.0
-    wrong = is_suspicious(error, motion, rate, band_m, tau, standoff_m)
-    quiet = _is_quiet(response)
-    perceptible = motion > MOTION_BANDS * band_m
-    suspicious = perceptible and (wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED)
-    fast = number >= MAX_READINGS  # with fewer samples in τ the ground changes while an answer is awaited
-    doubtful = perceptible and fast and error > LAG_TAUS * tau * rate
-    doubtful = doubtful and error * motion > SHIFT_ERROR_MOTION * band_m * standoff_m
-    shifts = suspicious or doubtful or (perceptible and motion > SHIFT_DESCENT * standoff_m)
-    if shifts and response.lift_m == 0.0 and response.run_samples > 2.0 * MIN_MEANS * number:
+    sign, repeated = sign_of_fault(adaptive, number, ascent if rises else descent, band_m)
+    response.rises, response.repeated = 1 if rises else 0, 1 if repeated else 0
+    if sign != NO_SIGN and response.lift_m == 0.0 and run.samples > 2.0 * MIN_MEANS * number:
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
-    stop_m = rate * (adaptive.latency.delay_s + tau)  # until the axis has stopped
-    far = number > MIN_READINGS and descent + stop_m > MAX_DESCENT * standoff_m
     late = response.lift_m > 0.0 and (t_ns - response.test_ns) * 1e-9 > _answer_s(adaptive, number)
-    response.rises, response.repeated = 1 if rises else 0, 1 if repeats and not (wrong or quiet) else 0
-    if rises and late:  # the greater shift stands out from the lag of the axis
-        lift_m = response.lift_m + MOTION_BANDS * band_m + tau * rate
-        _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m)
-    elif not rises and (late or suspicious or far):
+    if rises:
+        if late:  # the greater shift stands out from the lag of the axis
+            lift_m = response.lift_m + MOTION_BANDS * band_m + adaptive.plant.tau_s * run.rate_mps
+            _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m)
+        return
+    # until the axis has stopped
+    stop_m = run.rate_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
+    far = not sparse and descent + stop_m > MAX_DESCENT * params.offset_m
+    if late or far or sign == SIGN_FOR_HOLD:
         _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m)
 
 
@@ -187,7 +139,7 @@ def _test_descent(params, adaptive, t_ns, tool_z_m):
     """Hold the tool in a descent that the ranges do not explain; the middle of their spread must change."""
     response, descent = adaptive.response, adaptive.descent
     _begin_run(params, adaptive, tool_z_m)
-    response.run_range_m, response.run_samples = 0.5 * (descent.most_m + descent.least_m), RUN_SAMPLES
+    assume_range(adaptive.run, 0.5 * (descent.most_m + descent.least_m))
     response.swing_m = descent.tested_m
     response.rises = response.repeated = 0
     _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m)
@@ -241,13 +193,25 @@ def _update_test(params, adaptive, t_ns, tool_z_m, number, band_m):
     allowed_m = OBEYED[response.rises] * response.lift_m
     obeyed, below_m = response.missing_m < allowed_m, response.ceiling_z_m - tool_z_m
     if rises and below_m < allowed_m:  # one that another controller leads climbs farther
-        obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * response.rate_mps
+        obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * adaptive.run.rate_mps
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
     response.repeated = 1 if is_repeated(adaptive.repeats) else 0
     if response.repeated != 0 or (applied and obeyed):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
         _begin_run(params, adaptive, tool_z_m)
+
+
+@jit
+def _responds(adaptive, band_m):
+    """Whether the mean range has left the band of the run, or a range that was repeated has changed."""
+    response, run = adaptive.response, adaptive.run
+    if response.phase == RESPONSE_RUN:
+        least_m, changed = band_m, False
+    else:
+        least_m = max(TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
+        changed = response.repeated != 0 and adaptive.repeats.count == 1
+    return abs(run.mean_m - run.range_m) > least_m or changed
 
 
 @jit_inlined
@@ -269,13 +233,15 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     paused, response.t_ns = (t_ns - response.t_ns) * 1e-9 > gap_s, t_ns
     response.test_ns = t_ns if paused else response.test_ns  # an answer takes time with samples
     count_repeats(params, adaptive, range_m, tool_z_m, band)
-    _update_mean(response, range_m, sigma, number)
+    update_mean(adaptive.run, range_m, max(BAND_SIGMAS * sigma, SWINGS[0] * response.swing_m), number)
     if begins or _responds(adaptive, band):
         tested = response.phase != RESPONSE_RUN or response.lift_m > 0.0
         back_s = stop_s(adaptive) + number * adaptive.prediction.interval_s if tested and not begins else 0.0
         response.settled_ns = t_ns + int(1e9 * back_s)
-        if begins or abs(range_m - response.mean_m) > BAND_SIGMAS * sigma:  # of a step the mean sees a part
-            response.mean_m = range_m
+        if (
+            begins or abs(range_m - adaptive.run.mean_m) > BAND_SIGMAS * sigma
+        ):  # of a step the mean sees a part
+            restart_mean(adaptive.run, range_m)
         _begin_run(params, adaptive, tool_z_m)
     elif response.phase == RESPONSE_RUN and adaptive.descent.tested_m > 0.0:
         _test_descent(params, adaptive, t_ns, tool_z_m)

@@ -16,7 +16,7 @@ def rise_rate(adaptive):
     estimate, response = adaptive.estimate, adaptive.response
     slope = max(math.sqrt(estimate.slope_power), estimate.slope)
     if response.phase != RESPONSE_RUN:
-        slope = max(slope, response.slope)
+        slope = max(slope, adaptive.run.slope)
     return slope * adaptive.kinematics.speed_mps
 
 
@@ -33,13 +33,13 @@ def uncertain_clearance(adaptive, silent):
     adaptive : record of `AdaptiveState`
     silent : bool  samples are missing
     """
-    response, setpoint, begin_m = adaptive.response, adaptive.setpoint, adaptive.blend.tracked_m
+    response, run, setpoint = adaptive.response, adaptive.run, adaptive.setpoint
     tested = response.phase != RESPONSE_RUN and not is_slow(adaptive)
     if not tested and not silent:
         return 0.0
-    unseen_s = (adaptive.clock.now_ns - adaptive.hold.t_ns) * 1e-9
+    begin_m, unseen_s = adaptive.blend.tracked_m, (adaptive.clock.now_ns - adaptive.hold.t_ns) * 1e-9
     if tested:
-        unseen_s += response.run_samples * adaptive.prediction.interval_s
-        begin_m = response.low_z_m if response.rises != 0 else response.top_z_m
+        unseen_s += run.samples * adaptive.prediction.interval_s
+        begin_m = run.low_z_m if response.rises != 0 else run.top_z_m
     descent_m = begin_m - setpoint.position_m if setpoint.t_ns != 0 else 0.0
     return descent_m + rise_rate(adaptive) * unseen_s

@@ -1,0 +1,115 @@
+"""A run of constant ranges under a tool that moves: its mean, its spread, and signs of a fault in it.
+
+A sensor that no longer sees the ground (stuck, or blocked by something that moves with it) reads a constant
+range with any noise. The ground then seems to move with the tool.
+A follower that tracks a plane well reads a constant range, too, but that is the wanted one, with noise. A run
+with a sign of a fault is tested (`response`).
+"""
+
+from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.quantities import APART_M
+from surffollow.forecast.sensing.mean_range import (
+    ERROR_MOTION,
+    LAG_TAUS,
+    MAX_READINGS,
+    RUN_SAMPLES,
+    is_suspicious,
+)
+from surffollow.forecast.sensing.repeated_ranges import is_repeated
+from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_sensing import (
+    NO_SIGN,
+    ROTATION_FAILED,
+    SIGN_FOR_HOLD,
+    SIGN_FOR_SHIFT,
+)
+
+MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
+SHIFT_ERROR_MOTION = ERROR_MOTION / 6.0  # from which the setpoint is shifted up …
+SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off
+QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
+USUAL_SPREAD_SAMPLES = 256  # in that deviation
+MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
+
+
+@jit
+def begin_run(params, adaptive, tool_z_m):
+    """Begin a run at the present mean range, over the present slope, for this stand-off."""
+    run = adaptive.run
+    run.slope, run.standoff_m = adaptive.estimate.slope, params.offset_m
+    run.range_m, run.samples, run.rate_mps = run.mean_m, 0, 0.0
+    run.top_z_m = run.low_z_m = tool_z_m
+
+
+@jit
+def assume_range(run, range_m):
+    """Take a range as the one that the sensor reads in this run."""
+    run.range_m, run.samples = range_m, RUN_SAMPLES
+
+
+@jit
+def restart_mean(run, range_m):
+    """Begin the running mean with a range."""
+    run.mean_m = range_m
+
+
+@jit
+def update_mean(run, range_m, most_m, number):
+    """Update the mean of `number` ranges, and that of the run; a range counts by `most_m` at most."""
+    deviation_m = min(max(range_m - run.mean_m, -most_m), most_m)
+    run.mean_m += deviation_m / number
+    run.spread_m += (abs(deviation_m) - run.spread_m) / (2.0 * MIN_MEANS * number)
+    if not is_quiet(run):  # noise far below the usual one is not learned
+        run.usual_m += (run.spread_m - run.usual_m) / USUAL_SPREAD_SAMPLES
+    run.samples += 1
+    if number < run.samples < RUN_SAMPLES:  # its own mean is the better known one
+        run.range_m += (run.mean_m - run.range_m) / run.samples
+
+
+@jit
+def is_quiet(run):
+    """Whether the ranges have far less than their usual noise, which is not below what the bank assumes."""
+    return run.usual_m > MIN_NOISE_M and run.spread_m < QUIET_SHARE * run.usual_m
+
+
+@jit
+def observe_motion(run, tool_z_m, climb_mps):
+    """Update the motion of the tool in the run; its descent and its ascent since [m]."""
+    run.top_z_m, run.low_z_m = max(run.top_z_m, tool_z_m), min(run.low_z_m, tool_z_m)
+    run.rate_mps += (abs(climb_mps) - run.rate_mps) / run.samples
+    return run.top_z_m - tool_z_m, tool_z_m - run.low_z_m
+
+
+@jit
+def sign_of_fault(adaptive, number, motion_m, band_m):
+    """Sign of a fault in the run, and whether it is that the ranges are repeated.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState`
+    number : float64    ranges in their mean
+    motion_m : float64  motion of the run that counts [m]
+    band_m : float64    change of the mean that noise explains [m]
+
+    Returns
+    -------
+    int, bool
+        NO_SIGN; SIGN_FOR_SHIFT: a slight one, or a long motion, for which the setpoint is shifted up;
+        SIGN_FOR_HOLD: one for which the tool is held.
+    """
+    run, tau_s = adaptive.run, adaptive.plant.tau_s
+    repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
+    below = abs(adaptive.sample.lead_m) < APART_M
+    error_m = abs(run.range_m - run.standoff_m) if below else 0.0
+    wrong = is_suspicious(error_m, motion_m, run.rate_mps, band_m, tau_s, run.standoff_m)
+    only_repeats = repeats and not (wrong or quiet)
+    if motion_m <= MOTION_BANDS * band_m:  # it hides in the noise
+        return NO_SIGN, only_repeats
+    if wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED:
+        return SIGN_FOR_HOLD, only_repeats
+    # with fewer samples in τ the ground changes while an answer is awaited
+    lags = number < MAX_READINGS or error_m <= LAG_TAUS * tau_s * run.rate_mps
+    slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
+    if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
+        return NO_SIGN, only_repeats
+    return SIGN_FOR_SHIFT, only_repeats
