@@ -14,9 +14,10 @@ from surffollow.forecast.attitude.beam_detection import is_recent
 from surffollow.forecast.attitude.plane_fit import slope_gain
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import rotate, rotation_between, to_world
-from surffollow.forecast.sensing import response
+from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.mean_range import RUN_SAMPLES, TEST_BAND_FACTOR, is_suspicious
+from surffollow.forecast.sensing.response import ANSWER_TAUS
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 from surffollow.shm.layout_follow import RUN_NORMAL
@@ -93,7 +94,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     u = rotation.run_axis if rotation.phase == ROTATION_RUN else rotation.test_axis
     _, turn = rotation_between(u, axis)
     # the tool stops at `permitted_turn_rad` from the test's direction
-    least = response.MOTION_BANDS * band
+    least = MOTION_BANDS * band
     probe = least + params.permitted_turn_rad
     if rotation.phase == ROTATION_RUN:
         rotation.samples += 1
@@ -104,7 +105,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
         deviation = math.hypot(run[0], run[1])
         wrong = is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
         far = turn > 0.3 * params.max_tilt_rad  # beyond, a constant deviation is always tested
-        if rotation.samples * share > response.MIN_MEANS and turn > probe and (wrong or far):
+        if rotation.samples * share > MIN_MEANS and turn > probe and (wrong or far):
             rotation.phase, rotation.samples, rotation.test_ns = ROTATION_TEST, 0, t_ns
             for i in range(3):
                 rotation.test_axis[i] = axis[i] + probe / turn * (rotation.run_axis[i] - axis[i])
@@ -112,9 +113,9 @@ def observe_rotation(params, adaptive, t_ns, pose):
         rotation.samples += 1 if turn < probe - 0.5 * least else 0
         if params.run != RUN_NORMAL:
             rotation.test_ns = t_ns  # no rotation is applied
-        longest_s = response.ANSWER_TAUS * adaptive.plant.tau_s + 2.0 * probe / params.max_turn_speed_radps
+        longest_s = ANSWER_TAUS * adaptive.plant.tau_s + 2.0 * probe / params.max_turn_speed_radps
         late = (t_ns - rotation.test_ns) * 1e-9 > longest_s
-        if rotation.samples * share > response.MIN_MEANS or late:
+        if rotation.samples * share > MIN_MEANS or late:
             rotation.phase = ROTATION_FAILED
 
 
