@@ -53,12 +53,14 @@ def follow(
     latest_s: float = 0.0,
     live: tuple[float, dict] | None = None,
     drift: float = 0.0,
+    place_m: Callable[[float], float] | None = None,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
     `misread(t, range, generator)` gives the reading in place of a range [m]. Each reading arrives up to
     `latest_s` after its time, at random; readings may overtake each other. The first tenth is left out.
     `live`: parameters that are set at a time [s]. `drift`: rate by which the sensor's clock is fast.
+    `place_m`: place of the tool along its way at a time, in place of a constant speed.
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
@@ -70,7 +72,8 @@ def follow(
     pose_ms, reading_ms = round(1e3 * job.pose_s), round(1e3 * job.reading_s)
     for ms in range(round(1e3 * seconds)):
         t = ms * dt
-        x, t_ns = speed_mps * t, 10**9 + ms * 1_000_000
+        x = speed_mps * t if place_m is None else place_m(t)
+        t_ns = 10**9 + ms * 1_000_000
         ground = ground_m(x, t)
         if live is not None and ms == round(1e3 * live[0]):
             f.set_params(**live[1])
