@@ -54,6 +54,7 @@ def follow(
     live: tuple[float, dict] | None = None,
     drift: float = 0.0,
     place_m: Callable[[float], float] | None = None,
+    height_noise_m: float = 0.0,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
@@ -61,6 +62,7 @@ def follow(
     `latest_s` after its time, at random; readings may overtake each other. The first tenth is left out.
     `live`: parameters that are set at a time [s]. `drift`: rate by which the sensor's clock is fast.
     `place_m`: place of the tool along its way at a time, in place of a constant speed.
+    `height_noise_m`: standard deviation of the height in a pose [m].
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
@@ -78,8 +80,8 @@ def follow(
         if live is not None and ms == round(1e3 * live[0]):
             f.set_params(**live[1])
         if ms % pose_ms == 0:
-            f.pose(t_ns, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
-            z_plain = z
+            z_plain = z + (height_noise_m * float(rng.standard_normal()) if height_noise_m else 0.0)
+            f.pose(t_ns, (x, 0.0, z_plain, 0.0, 0.0, 0.0, 1.0))
         if ms % reading_ms == 0:
             r = z - ground + job.sigma_m * float(rng.standard_normal())
             r = misread(t, r, rng) if misread else r
@@ -94,7 +96,7 @@ def follow(
         if ms % pose_ms == 0:
             demand = float(f.step(t_ns, [math.nan])[2])
             if not plain:
-                target = z + demand
+                target = z_plain + demand
             if ms > 100 * seconds:
                 clearance.append(z - ground)
                 states.append(f.state())
