@@ -55,6 +55,7 @@ def follow(
     drift: float = 0.0,
     place_m: Callable[[float], float] | None = None,
     height_noise_m: float = 0.0,
+    older_s: float = 0.0,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
@@ -63,6 +64,7 @@ def follow(
     `live`: parameters that are set at a time [s]. `drift`: rate by which the sensor's clock is fast.
     `place_m`: place of the tool along its way at a time, in place of a constant speed.
     `height_noise_m`: standard deviation of the height in a pose [m].
+    `older_s`: by which timestamps of readings are set back [s].
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
@@ -86,7 +88,7 @@ def follow(
             r = z - ground + job.sigma_m * float(rng.standard_normal())
             r = misread(t, r, rng) if misread else r
             r = r if near_m < r < far_m else math.nan
-            stamp_ns = t_ns + round(drift * ms * 1_000_000)
+            stamp_ns = t_ns + round(drift * ms * 1_000_000) - round(1e9 * older_s)
             coming.append((ms + round(1e3 * latest_s * float(rng.random())) if latest_s else ms, stamp_ns, r))
         for arrival in [a for a in coming if a[0] <= ms]:
             coming.remove(arrival)
