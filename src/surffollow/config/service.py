@@ -35,7 +35,7 @@ class MapConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     grids: int = 1_000_000
     finest_grid: str | float = "0.1 in"
-    quantum: str | float = "0.001 in"
+    quantum: str | float = "standoff"
     rounding: str = "mode"
     gate: str | float = 0.0
     queue_seconds: float = 60.0
@@ -177,7 +177,7 @@ def _check(c: ServiceConfig) -> None:
             f"configuration key map.rounding is {c.map.rounding!r}; use 'mode', 'unbiased' or 'paper'"
         )
     metres(c.map.finest_grid, "map.finest_grid", 1e-6, 1e4)
-    metres(c.map.quantum, "map.quantum", 1e-9, 10.0)
+    map_quantum_m(c)
     metres(c.map.gate, "map.gate", 0.0, 1e4)
     seconds(c.map.access_lease, "map.access_lease", 0.01, 3600.0)
     if not 1.0 <= c.map.queue_seconds <= 600.0:
@@ -240,6 +240,16 @@ def map_rounding(c: ServiceConfig) -> str:
     if c.map.rounding != "mode":
         return c.map.rounding
     return "paper" if follow_params(c).get("mode") == _PAPER_MODE else "unbiased"
+
+
+def map_quantum_m(c: ServiceConfig) -> float:
+    """Height of one count of the map [m]; 0.0: it follows from the stand-off at each MapReset.
+
+    Raises
+    ------
+    ConfigError  neither a length that a map can have nor "standoff"
+    """
+    return 0.0 if c.map.quantum == "standoff" else metres(c.map.quantum, "map.quantum", 1e-9, 10.0)
 
 
 def load_config(path: str | Path) -> ServiceConfig:
