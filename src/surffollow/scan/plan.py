@@ -196,7 +196,7 @@ def _scheme(settings: PlanSettings, swath: float, step: float) -> ScanPath:
         path = lanes(settings.region, swath, step_m=step, angle_rad=angle, run_up_m=way)
         if settings.work_space is not None:
             tip = np.nan_to_num(path.position_m)
-            return path.changed(azimuth_rad=settings.work_space.azimuth_rad(tip))
+            return path.changed(azimuth_rad=np.unwrap(settings.work_space.azimuth_rad(tip)))
         return path
     if settings.scheme != "arcs":
         raise ScanInputError(f"scheme is '{settings.scheme}'; expected one of {', '.join(SCHEMES)}")
