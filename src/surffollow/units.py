@@ -185,6 +185,61 @@ def real_number(value: object, name: str) -> float:
         raise UsageError(f"{name} is {value!r}; it must be a number") from None
 
 
+def decimal_number(text: str) -> float:
+    """The number that a cell of a table says; NaN and infinity included.
+
+    Parameters
+    ----------
+    text : str
+        a decimal number; spaces around it do not matter
+
+    Returns
+    -------
+    float
+        nearest number
+
+    Raises
+    ------
+    ValueError
+        no number; one with underscores, too, which Python takes for groups of digits
+
+    Examples
+    --------
+    >>> from surffollow.units import decimal_number
+    >>> decimal_number("15.0"), decimal_number("1e-3")
+    (15.0, 0.001)
+    """
+    if "_" in text:
+        raise ValueError(f"{text!r} is no decimal number")
+    return float(text)
+
+
+def number_text(value: float, digits: int = 6) -> str:
+    """A number for people: some significant digits, but thousandths of any coordinate or time.
+
+    Parameters
+    ----------
+    value : float
+        in a unit of which a thousandth is enough, such as m or s
+    digits : int
+        significant digits, where they are more than that
+
+    Returns
+    -------
+    str
+        shortest text with these digits
+
+    Examples
+    --------
+    >>> from surffollow.units import number_text
+    >>> number_text(0.123456789), number_text(5812345.25), number_text(1732716000.02)
+    ('0.123457', '5812345.25', '1732716000.02')
+    """
+    if not 10.0 ** (digits - 3) <= abs(value) < 1e15:
+        return f"{value:.{digits}g}"
+    return f"{value:.3f}".rstrip("0").rstrip(".")
+
+
 def is_bare(value: object) -> bool:
     """Whether a quantity, as `parse_quantity` takes it, is a number without a unit.
 

@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from scan.sample_ground import GRID
+from surffollow.cli.scan import scan_group
 from surffollow.scan import TerrainGrid, disc
 from surffollow.scan.check import check_path
 from surffollow.scan.check_clearance import check_clearance
@@ -128,3 +130,16 @@ def test_a_point_beside_the_map_is_below_no_ground_but_one_over_it_is(tmp_path):
     for points, least_m in ((beside, math.hypot(0.1, 0.1)), (below, -0.1)):
         found = check_clearance(ground.heights_m, (0.0, 0.0), 0.1, points, 0.05, np.array([least_m]))
         assert found[0].value == pytest.approx(least_m)
+
+
+def test_the_extent_of_a_map_far_from_the_origin_is_printed_to_a_millimetre(tmp_path):
+    TerrainGrid.of(np.zeros((40, 60)), grid_m=GRID).to_map().save(tmp_path / "a.npz")
+    station = f'[stations."a.npz"]\nx_m = {UTM_M[0] + 0.678}\ny_m = {UTM_M[1]}\n'
+    (tmp_path / "stations.toml").write_text(station)
+    words = ["compose", str(tmp_path / "stations.toml"), "-o", str(tmp_path / "ground.npz")]
+    made = CliRunner().invoke(scan_group, words)
+    assert made.exit_code == 0, made.output
+    [extent] = [line.split()[1:] for line in made.output.splitlines() if line.startswith("extent_m")]
+    expected = [UTM_M[0] + 0.678, UTM_M[1], UTM_M[0] + 1.278, UTM_M[1] + 0.4]
+    np.testing.assert_allclose(np.array(extent, float), expected, atol=2 * GRID, rtol=0)
+    assert f"{UTM_M[1]:.0f}" in " ".join(extent)
