@@ -23,6 +23,7 @@ from surffollow.scan.schemes import arcs, lanes
 from surffollow.scan.serpentine import outline
 from surffollow.scan.shaped_motion import SAMPLES_PER_PERIOD, limited_climb, shaped_planar
 from surffollow.scan.shaping import Shaper
+from surffollow.scan.swath import body_width
 from surffollow.scan.timing import MotionLimits, timed
 
 SCHEMES = ("lanes", "arcs")
@@ -43,7 +44,7 @@ class PlanSettings:
     body_m : (m, 3) float [m]
         control points (`body`)
     swath_m : float [m]
-        distance of passes; None: the body's width
+        distance of passes; None: the body's width across them
     scheme : str
         "lanes" or "arcs"
     angle_rad : float
@@ -119,9 +120,11 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
     gap = positive("gap_m", settings.gap_m)
     corners = outline(settings.region)
     radius = float(np.hypot(body[:, 0], body[:, 1]).max())
-    swath = settings.swath_m if settings.swath_m is not None else 2.0 * radius
+    turned = settings.work_space is not None
+    width = body_width(body, settings.scheme, settings.angle_rad, turned=turned)
+    swath = settings.swath_m if settings.swath_m is not None else width
     if swath <= 0.0:
-        raise ScanInputError("a body that is one point has no width; give swath_m")
+        raise ScanInputError("the body has no width across its passes; give swath_m")
     sides = np.ptp(corners, axis=0)
     if gap > float(sides.max()):
         raise ScanInputError(
@@ -156,6 +159,7 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         "grid_m": ground.grid_m,
         "region_m": corners.tolist(),
         "body_m": np.round(body, 9).tolist(),
+        "body_width_m": width,
         "wrist_rad": settings.wrist.as_array().tolist(),
         "following": settings.following,
         "speed_mps": settings.motion.speed_mps,

@@ -78,7 +78,8 @@ def lanes(
     spans = _spans(dense_outline(ab, swath / STEPS_PER_SWATH), b, width, swath / STEPS_PER_SWATH)
     samples, passes = _run(b, spans, lambda _: 1.0, step, flip, run_up_m)
     xy = near + samples @ np.array([[c, s], [-s, c]])
-    return ScanPath.planar(xy, passes, facts={"scheme": "lanes", "angle_rad": angle, "swath_m": swath})
+    facts = {"scheme": "lanes", "angle_rad": angle, "swath_m": swath, "pass_distance_m": width}
+    return ScanPath.planar(xy, passes, facts=facts)
 
 
 def arcs(
@@ -143,7 +144,7 @@ def arcs(
     samples, passes = _run(radii, spans, lambda r: r, step, flip, run_up_m)
     azimuth = samples[:, 0] + centre
     xy = base + samples[:, 1:] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-    facts = {"scheme": "arcs", "base_m": [float(v) for v in base], "swath_m": swath}
+    facts = {"scheme": "arcs", "base_m": base.tolist(), "swath_m": swath, "pass_distance_m": width}
     return ScanPath.planar(xy, passes, azimuth_rad=azimuth, facts=facts)
 
 
