@@ -214,12 +214,12 @@ def decimal_number(text: str) -> float:
     return float(text)
 
 
-def number_text(value: float, digits: int = 6) -> str:
-    """A number for people: some significant digits, but thousandths of any coordinate or time.
+def numbers_text(*values: float, digits: int = 6) -> str:
+    """Numbers for people: some significant digits, but thousandths of any coordinate or time.
 
     Parameters
     ----------
-    value : float
+    *values : float
         in a unit of which a thousandth is enough, such as m or s
     digits : int
         significant digits, where they are more than that
@@ -227,17 +227,21 @@ def number_text(value: float, digits: int = 6) -> str:
     Returns
     -------
     str
-        shortest text with these digits
+        shortest texts with these digits, and commas between them
 
     Examples
     --------
-    >>> from surffollow.units import number_text
-    >>> number_text(0.123456789), number_text(5812345.25), number_text(1732716000.02)
-    ('0.123457', '5812345.25', '1732716000.02')
+    >>> from surffollow.units import numbers_text
+    >>> numbers_text(0.123456789), numbers_text(512345.25, 5812345.0)
+    ('0.123457', '512345.25, 5812345')
     """
-    if not 10.0 ** (digits - 3) <= abs(value) < 1e15:
-        return f"{value:.{digits}g}"
-    return f"{value:.3f}".rstrip("0").rstrip(".")
+
+    def text(v: float) -> str:
+        if not 10.0 ** (digits - 3) <= abs(v) < 1e15:
+            return f"{v:.{digits}g}"
+        return f"{v:.3f}".rstrip("0").rstrip(".")
+
+    return ", ".join(map(text, values))
 
 
 def is_bare(value: object) -> bool:

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 from scan.sample_ground import GRID
 from surffollow.cli.scan import scan_group
+from surffollow.errors import ScanInputError
 from surffollow.scan import TerrainGrid, disc
 from surffollow.scan.check import check_path
 from surffollow.scan.check_clearance import check_clearance
@@ -122,6 +123,14 @@ def test_a_plan_over_the_whole_map_is_accepted_where_the_body_reaches_beyond_it(
     plan = plan_scan(ground, PlanSettings((0.0, 0.0, 1.4, 1.2), 0.05, disc(0.1)))
     write_path(tmp_path / "path.csv", plan)
     assert failed(ground, tmp_path / "path.csv") == set()
+
+
+def test_a_region_beside_a_map_far_from_the_origin_is_refused_with_all_digits():
+    ground = TerrainGrid.of(np.zeros((20, 30)), origin_m=UTM_M, grid_m=0.1)
+    with pytest.raises(ScanInputError) as e:
+        plan_scan(ground, PlanSettings((512340.5, 5812341.25, 512341.5, 5812342.0), 0.05, disc(0.08)))
+    assert "512340.5, 5812341.25, 512341.5, 5812342 m lies beside" in str(e.value)
+    assert "x 512345 to 512348 m, y 5812345 to 5812347 m" in str(e.value)
 
 
 def test_a_point_beside_the_map_is_below_no_ground_but_one_over_it_is(tmp_path):

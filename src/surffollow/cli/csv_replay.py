@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.units import number_text
+from surffollow.units import numbers_text
 
 if TYPE_CHECKING:
     from surffollow.record.columns import Columns
@@ -117,7 +117,7 @@ def csv_text(summary: dict[str, Any]) -> str:
 
     lines = [
         f"{summary['file']}: {summary['readings']} readings in {summary['rows']} rows, "
-        f"{number_text(summary['start_s'])} to {number_text(summary['end_s'])} s, {summary['mode']} mode",
+        f"{numbers_text(summary['start_s'])} to {numbers_text(summary['end_s'])} s, {summary['mode']} mode",
         f"{'horizon [s]':>12} {'rms [m]':>10} {'no change [m]':>14} {'ratio':>7} {'n':>7}",
     ]
     for row in summary["forecast"]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surffollow.errors import UsageError
 from surffollow.record.columns import Columns
 from surffollow.record.mcap_reader import MAGIC
-from surffollow.units import decimal_number, number_text, unit_scale
+from surffollow.units import decimal_number, numbers_text, unit_scale
 
 SHOWN = 200  # characters of a file in a message
 LAST_HEADER_LINE = 100  # so far the line of column names is looked for, for a message
@@ -60,7 +60,7 @@ class CsvLog:
             if value is not None and not math.isfinite(value):
                 raise UsageError(f"{option} must be a finite number of seconds, not {value}")
         if start_s is not None and end_s is not None and end_s < start_s:
-            raise UsageError(f"--end {number_text(end_s)} lies before --start {number_text(start_s)}")
+            raise UsageError(f"--end {numbers_text(end_s)} lies before --start {numbers_text(start_s)}")
         keep = np.ones(self.t_s.size, bool)
         if start_s is not None:
             keep &= self.t_s >= start_s

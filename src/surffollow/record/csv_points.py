@@ -11,7 +11,7 @@ from surffollow.errors import UsageError
 from surffollow.record.columns import Columns
 from surffollow.record.csv_log import CsvLog
 from surffollow.shm.map_layout import MAX_REGION_M
-from surffollow.units import number_text, parse_quantity
+from surffollow.units import numbers_text, parse_quantity
 
 SHOWN_ROWS = 5  # of those that a message names
 COARSE = 10.0  # times: grids wider than points lie apart, rows farther off than usual
@@ -63,7 +63,7 @@ def check_extent(file: str, log: CsvLog, points_m: NDArray[np.float64]) -> None:
     if max(sides_m) > MAX_REGION_M:
         raise UsageError(
             f"{file}: the target points extend over {_by(sides_m)} m, but a side of a map is at most "
-            f"{number_text(MAX_REGION_M)} m.{_far_text(log, points_m, 0.5 * MAX_REGION_M)}"
+            f"{numbers_text(MAX_REGION_M)} m.{_far_text(log, points_m, 0.5 * MAX_REGION_M)}"
         )
 
 
@@ -88,7 +88,7 @@ def _sides(points_m: NDArray[np.float64]) -> list[float]:
 
 
 def _by(sides_m: list[float]) -> str:
-    return " × ".join(number_text(v) for v in sides_m)
+    return " × ".join(numbers_text(v) for v in sides_m)
 
 
 def _far_text(log: CsvLog, points_m: NDArray[np.float64], limit_m: float) -> str:
@@ -99,9 +99,9 @@ def _far_text(log: CsvLog, points_m: NDArray[np.float64], limit_m: float) -> str
     if not far.size:
         return ""
     kind, names = ("time [s]", log.t_s) if log.lines is None else ("line", log.lines)
-    shown = ", ".join(number_text(float(v)) for v in names[far[:SHOWN_ROWS]])
+    shown = ", ".join(numbers_text(float(v)) for v in names[far[:SHOWN_ROWS]])
     more = f" and {far.size - SHOWN_ROWS} more" if far.size > SHOWN_ROWS else ""
-    rounded, x, y = (number_text(float(v)) for v in (f"{limit_m:.3g}", *middle))
+    rounded, x, y = (numbers_text(float(v)) for v in (f"{limit_m:.3g}", *middle))
     return (
         f" {far.size} of {len(off)} rows lie more than {rounded} m from the median place {x}, {y} m: "
         f"{kind} {shown}{more}; correct or remove them, or leave them out with --start and --end"

@@ -14,7 +14,7 @@ from surffollow.record.columns import Columns
 from surffollow.record.csv_replay import CsvReplay
 from surffollow.record.drawn_series import MAX_ROWS, draw_series, drawn_series, pauses, reduction
 from surffollow.record.forecast_scores import pair_forecasts, score_forecast
-from surffollow.units import number_text
+from surffollow.units import numbers_text
 
 # without a horizontal way of this many typical distances there is no map to draw
 _MIN_PATH = 1.0
@@ -50,7 +50,7 @@ def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | P
         _draw_readings(axes[1], t, replay)
         _draw_forecast(axes[2], t, replay, columns)
         axes[0].set_xlim(*((0.0, float(t[-1])) if t[-1] > 0.0 else (-1.0, 1.0)))
-        axes[2].set(xlabel=f"time [s] since {number_text(float(replay.log.t_s[0]))} s of the log")
+        axes[2].set(xlabel=f"time [s] since {numbers_text(float(replay.log.t_s[0]))} s of the log")
         _draw_scores(figure.add_subplot(grid[3, 0]), replay, columns)
         _draw_path(figure, figure.add_subplot(grid[3, 1]), replay, columns)
         fg.save_figure(figure, out)

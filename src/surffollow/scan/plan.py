@@ -25,6 +25,7 @@ from surffollow.scan.shaped_motion import SAMPLES_PER_PERIOD, limited_climb, sha
 from surffollow.scan.shaping import Shaper
 from surffollow.scan.swath import body_width
 from surffollow.scan.timing import MotionLimits, timed
+from surffollow.units import numbers_text
 
 SCHEMES = ("lanes", "arcs")
 FOLLOWING = ("atf", "reactionary")
@@ -188,9 +189,7 @@ def _around(ground: TerrainGrid, corners: Floats, margin_m: float) -> TerrainGri
     box = [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
     inside = ground.window(box)
     if not inside.known.any():
-        raise ScanInputError(
-            f"no cell of the region {box[0]:g}, {box[1]:g}, {box[2]:g}, {box[3]:g} m is known; map it first"
-        )
+        raise ScanInputError(f"no cell of the region {numbers_text(*box)} m is known; map it first")
     return ground.window(box, margin_m)
 
 

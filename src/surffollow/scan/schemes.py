@@ -12,6 +12,7 @@ from surffollow.errors import ScanInputError
 from surffollow.scan.checks import Floats, finite, positive
 from surffollow.scan.path import ScanPath
 from surffollow.scan.serpentine import Stretch, dense_outline, joined, outline, strips
+from surffollow.units import numbers_text
 
 MAX_SAMPLES = 5_000_000
 STEPS_PER_SWATH = 64  # of the region's outline
@@ -130,7 +131,7 @@ def arcs(
     edge = dense_outline(corners, fine) - base
     if _inside(corners, base):
         raise ScanInputError(
-            f"the base at {base[0]:g}, {base[1]:g} m lies inside the region; arcs need a region beside it"
+            f"the base at {numbers_text(*base)} m lies inside the region; arcs need a region beside it"
         )
     rho = np.hypot(edge[:, 0], edge[:, 1])
     middle = corners.mean(axis=0) - base
