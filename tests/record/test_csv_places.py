@@ -126,6 +126,15 @@ def test_rows_of_one_time_and_a_log_of_one_row_have_points_where_a_pose_is_known
     assert np.isnan(target_points(log, columns)).all()
 
 
+@pytest.mark.parametrize("rows", [1, 3])
+@pytest.mark.filterwarnings("error")
+def test_a_log_that_is_shorter_than_its_delay_has_a_table_and_a_figure(tmp_path: Path, rows: int) -> None:
+    survey(tmp_path, [row(0.05 * k) for k in range(rows)], LATE_S)
+    replayed(tmp_path, "--out", str(tmp_path / "rows.csv"), "--plot", str(tmp_path / "log.svg"))
+    assert (tmp_path / "rows.csv").read_text().count("\n") == rows + 1
+    assert "shorter than the delay" in (tmp_path / "log.svg").read_text()
+
+
 def test_a_table_that_cannot_be_written_leaves_the_old_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

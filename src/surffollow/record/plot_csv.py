@@ -162,14 +162,14 @@ def _draw_scores(ax: Any, replay: CsvReplay, columns: Columns) -> None:
     ax.bar_label(bars, [f"× {r:.2f}" if r == r else "" for r in ratios], fontsize=7, padding=2)
     ax.set_xticks(at, [f"{s['horizon_s']:g} s\nn = {s['n']:.0f}" for s in scores])
     ax.set(ylabel=f"RMS [{unit}]", xlabel="horizon")
-    ax.set_ylim(0.0, 1.3 * float(values.max()) * factor)
+    ax.set_ylim(0.0, 1.3 * (float(values.max()) * factor or 1.0))
     ax.legend(loc="upper left")
 
 
 def _draw_path(figure: Any, ax: Any, replay: CsvReplay, columns: Columns) -> None:
     has = np.isfinite(replay.target_m).all(axis=1)
     points = replay.target_m[has]
-    way = np.ptp(points[:, :2], axis=0)
+    way = np.ptp(points[:, :2], axis=0) if len(points) else np.zeros(2)
     typical = float(np.median(np.abs(replay.log.range_m[has]))) if has.any() else 0.0
     if float(np.hypot(*way)) < _MIN_PATH * typical * 1e-3 or float(np.hypot(*way)) == 0.0:
         ax.axis("off")
@@ -177,6 +177,8 @@ def _draw_path(figure: Any, ax: Any, replay: CsvReplay, columns: Columns) -> Non
         place = columns.position
         known = place is not None and (place.north is not None or place.east is not None)
         text = "the horizontal position does not change" if known else "the log has no horizontal position"
+        if not has.any():
+            text = "no reading has a pose of its time: the log is shorter than the delay"
         ax.text(0.0, 0.9, text, va="top", transform=ax.transAxes)
         return
     factor, unit = fg.length_scale(points[:, 2])
