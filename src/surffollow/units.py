@@ -219,7 +219,7 @@ def numbers_text(*values: float, digits: int = 6) -> str:
 
     Parameters
     ----------
-    *values : float
+    values : float
         in a unit of which a thousandth is enough, such as m or s
     digits : int
         significant digits, where they are more than that
