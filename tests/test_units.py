@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surffollow.errors import UsageError
-from surffollow.units import format_ns, parse_quantity, unit_scale
+from surffollow.units import decimal_number, format_ns, numbers_text, parse_quantity, unit_scale
 
 
 @pytest.mark.parametrize(
@@ -109,3 +109,28 @@ def test_a_number_beyond_all_floats_is_refused_at_once(text):
 @pytest.mark.parametrize("text", ["1e-999999999 mm", "0e999999999 mm"])
 def test_a_number_below_all_floats_is_zero_at_once(text):
     assert parse_quantity(text, "m") == 0.0
+
+
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [
+        (0.000123456789, "0.000123457"),
+        (123.456789, "123.457"),
+        (-512345.6789, "-512345.679"),
+        (5812345.0, "5812345"),
+        (5812000.0, "5812000"),
+        (1732716000.02, "1732716000.02"),
+        (0.0, "0"),
+        (math.nan, "nan"),
+        (-math.inf, "-inf"),
+        (1e300, "1e+300"),
+    ],
+)
+def test_a_number_for_people_has_six_digits_and_its_thousandths(number, text):
+    assert numbers_text(number) == text
+
+
+@pytest.mark.parametrize("text", ["1_5.0", "1_732", "", "1,5", "0x10"])
+def test_what_no_table_means_as_a_number_is_none(text):
+    with pytest.raises(ValueError, match=r"could not convert|no decimal number"):
+        decimal_number(text)

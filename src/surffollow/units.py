@@ -185,6 +185,65 @@ def real_number(value: object, name: str) -> float:
         raise UsageError(f"{name} is {value!r}; it must be a number") from None
 
 
+def decimal_number(text: str) -> float:
+    """The number that a cell of a table says; NaN and infinity included.
+
+    Parameters
+    ----------
+    text : str
+        a decimal number; spaces around it do not matter
+
+    Returns
+    -------
+    float
+        nearest number
+
+    Raises
+    ------
+    ValueError
+        no number; one with underscores, too, which Python takes for groups of digits
+
+    Examples
+    --------
+    >>> from surffollow.units import decimal_number
+    >>> decimal_number("15.0"), decimal_number("1e-3")
+    (15.0, 0.001)
+    """
+    if "_" in text:
+        raise ValueError(f"{text!r} is no decimal number")
+    return float(text)
+
+
+def numbers_text(*values: float, digits: int = 6) -> str:
+    """Numbers for people: some significant digits, but thousandths of any coordinate or time.
+
+    Parameters
+    ----------
+    values : float
+        in a unit of which a thousandth is enough, such as m or s
+    digits : int
+        significant digits, where they are more than that
+
+    Returns
+    -------
+    str
+        shortest texts with these digits, and commas between them
+
+    Examples
+    --------
+    >>> from surffollow.units import numbers_text
+    >>> numbers_text(0.123456789), numbers_text(512345.25, 5812345.0)
+    ('0.123457', '512345.25, 5812345')
+    """
+
+    def text(v: float) -> str:
+        if not 10.0 ** (digits - 3) <= abs(v) < 1e15:
+            return f"{v:.{digits}g}"
+        return f"{v:.3f}".rstrip("0").rstrip(".")
+
+    return ", ".join(map(text, values))
+
+
 def is_bare(value: object) -> bool:
     """Whether a quantity, as `parse_quantity` takes it, is a number without a unit.
 

@@ -74,6 +74,12 @@ def test_show_prints_values_with_units_from_the_block_itself(space, platform):
     assert shown["fields"][0]["unit"] == "ns"
 
 
+def test_show_prints_a_surveys_coordinates_to_a_millimetre(space, platform):
+    with platform.write() as slot:
+        slot.pose = (512345.6789, 5812345.6789, 0.123456789)
+    assert "= [512345.679, 5812345.679, 0.123456789]" in run("show", f"{space}.platform")
+
+
 def test_watch_prints_each_change_it_sees(space, platform):
     words = [sys.executable, "-m", "surffollow", "blocks", "watch", f"{space}.platform", "--json"]
     with subprocess.Popen([*words, "--every", "0.005", "--count", "2"], stdout=subprocess.PIPE) as watch:

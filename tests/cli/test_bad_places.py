@@ -19,6 +19,7 @@ from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.synthetic_log import SyntheticLog
 
 PAIRS = "indicated,true\n" + "".join(f"{0.05 + 0.01 * k},{0.05 + 0.011 * k}\n" for k in range(12))
+MEANING = '[time]\ncolumn = "indicated"\nunit = "s"\n[range]\ncolumn = "true"\nunit = "m"\n'
 # what the command writes, less its suffix, stands for OUT
 COMMANDS = [
     "map export ground.txt OUT.txt",
@@ -31,6 +32,7 @@ COMMANDS = [
     "replay run.mcap --map OUT.txt",
     "replay run.mcap --plot OUT.png",
     "replay run.mcap --out OUT.csv",
+    "replay pairs.csv --columns pairs.toml --out OUT.csv",
     "plot run.mcap --out OUT.svg",
     "plot ground.txt --out OUT.pdf",
     "calibrate range pairs.csv --out OUT.json",
@@ -48,6 +50,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log.run(300)
     recorder.finish()
     (folder / "pairs.csv").write_text(PAIRS)
+    (folder / "pairs.toml").write_text(MEANING)
     return folder
 
 

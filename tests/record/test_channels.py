@@ -15,15 +15,18 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from surffollow.record import foxglove as fx
 from surffollow.record.channel_feed import ChannelFeed
-from surffollow.record.channels import add_demand, plain
+from surffollow.record.channels import StandardChannels, add_demand, plain
 from surffollow.record.convert import convert
 from surffollow.record.protobuf import Message
 from surffollow.record.recorder import Recorder
 from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
+from surffollow.record.samples import Event
 from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.record.table import Table
-from surffollow.shm.layout_follow import VALID, Output
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_board import RQ_MAP_RESET
+from surffollow.shm.layout_follow import VALID, Output, Params
 
 Decoded = dict[str, list[tuple[Any, Any]]]
 
@@ -220,3 +223,22 @@ def test_after_a_hole_stepping_goes_on_at_the_next_snapshot(tmp_path: Path, reco
     assert done.differing == 0
     assert done.damage
     assert 1000 <= done.rows < 3000
+
+
+class Kept:
+    """Keeps the messages' data."""
+
+    wall_offset_ns = 0
+
+    def __init__(self) -> None:
+        self.data: list[bytes] = []
+
+    def add_message(self, topic: str, kind: Message, t_ns: int, data: bytes) -> None:
+        self.data.append(data)
+
+
+def test_a_map_far_from_the_origin_is_logged_to_a_millimetre() -> None:
+    kept = Kept()
+    region_m = (512345.25, 5812345.25, 512346.75, 5812346.0)
+    StandardChannels(kept, zeros(Params)).take(Event("map", 5, RQ_MAP_RESET, region_m))
+    assert b"MapReset over 512345.25, 5812345.25, 512346.75, 5812346 m" in kept.data[0]

@@ -55,9 +55,6 @@ def arm_state(path: ScanPath, config: ScanRobotConfig, start_ns: int, stopping_s
 
 def path_columns(path: ScanPath, config: ScanRobotConfig) -> Floats:
     """(n, 10) columns of a path: see `sim.path_arm.PATH_COLUMNS`."""
-    q = path.quaternion.copy()
-    flips = np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
-    q[1:] *= flips[:, None]
     tip, errors = path.position_m, config.errors
     off = np.zeros_like(tip) if errors is None else errors.offset_m(tip, base_of(path))
-    return np.ascontiguousarray(np.column_stack([path.t_s - path.t_s[0], tip[:, :2], q, off]))
+    return np.ascontiguousarray(np.column_stack([path.t_s - path.t_s[0], tip[:, :2], path.quaternion, off]))

@@ -12,6 +12,7 @@ import click
 from surffollow.cli.json_values import without_nan
 from surffollow.cli.old_names import old_name
 from surffollow.cli.option_types import Finite
+from surffollow.units import numbers_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -106,9 +107,9 @@ def _text(value: Any) -> str:
     if isinstance(value, list):
         shown = ", ".join(_text(v) for v in value[:16])
         return f"[{shown}{f', ... {len(value)} in all' if len(value) > 16 else ''}]"
-    return (
-        f"{value:.9g}" if isinstance(value, float) else repr(value) if isinstance(value, str) else str(value)
-    )
+    if isinstance(value, float):
+        return numbers_text(value, digits=9)
+    return repr(value) if isinstance(value, str) else str(value)
 
 
 def _every_option(default: float, text: str) -> Callable[[Any], Any]:

@@ -37,6 +37,7 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[Any]:
     import numpy as np
 
     from surffollow.errors import ConfigError
+    from surffollow.units import decimal_number
 
     with open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.DictReader(file)
@@ -47,7 +48,7 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[Any]:
                 f"(expected: {', '.join(names)})"
             )
         try:
-            table = [[float(row[n] or "nan") for n in names] for row in rows]
+            table = [[decimal_number(row[n] or "nan") for n in names] for row in rows]
         except (TypeError, ValueError) as error:
             raise ConfigError(f"{path}, line {rows.line_num}: {error}") from None
     return list(np.array(table, float).reshape(-1, len(names)).T)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.units import numbers_text
+
 if TYPE_CHECKING:
     from surffollow.record.columns import Columns
     from surffollow.record.csv_replay import CsvReplay
@@ -82,9 +84,13 @@ def replay_csv_command(
 ) -> None:
     import json
 
+    from surffollow.record.csv_points import check_extent, map_notes
     from surffollow.record.forecast_scores import summarise
 
     replay, meaning = replay_csv_log(file, columns, start, end, mode)
+    notes: list[str] = []
+    if map_out is not None:
+        check_extent(file, replay.log, replay.target_m)
     if out is not None:
         _write_csv_rows(out, replay, meaning, file)
     if map_out is not None:
@@ -93,11 +99,13 @@ def replay_csv_command(
 
         made = map_of_points(replay.target_m)
         export(map_out, made.header, made.pairs)
+        notes = map_notes(replay.log, replay.target_m, made.grid_m)
     if plot is not None:
         from surffollow.record.plot_csv import plot_csv
 
         plot_csv(file, replay, meaning, plot)
     summary = summarise(file, replay, meaning)
+    summary["notes"] += notes
     click.echo(json.dumps(summary) if as_json else csv_text(summary))
 
 
@@ -109,7 +117,7 @@ def csv_text(summary: dict[str, Any]) -> str:
 
     lines = [
         f"{summary['file']}: {summary['readings']} readings in {summary['rows']} rows, "
-        f"{summary['start_s']:g} to {summary['end_s']:g} s, {summary['mode']} mode",
+        f"{numbers_text(summary['start_s'])} to {numbers_text(summary['end_s'])} s, {summary['mode']} mode",
         f"{'horizon [s]':>12} {'rms [m]':>10} {'no change [m]':>14} {'ratio':>7} {'n':>7}",
     ]
     for row in summary["forecast"]:

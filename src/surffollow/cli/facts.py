@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from surffollow.units import numbers_text
+
 
 def print_facts(facts: dict[str, Any], as_json: bool, digits: int = 6) -> None:
     """Print one JSON object, or a line per fact.
@@ -18,7 +20,7 @@ def print_facts(facts: dict[str, Any], as_json: bool, digits: int = 6) -> None:
     as_json : bool
         print the object
     digits : int
-        significant digits of numbers in lines
+        significant digits of numbers in lines, beyond the thousandths that all have
     """
     if as_json:
         click.echo(json.dumps(facts))
@@ -26,7 +28,7 @@ def print_facts(facts: dict[str, Any], as_json: bool, digits: int = 6) -> None:
     width = max(map(len, facts))
     for key, value in facts.items():
         if isinstance(value, float):
-            value = f"{value:.{digits}g}"
+            value = numbers_text(value, digits=digits)
         elif isinstance(value, dict):
             value = ", ".join(f"{k} {v}" for k, v in value.items() if v)
         elif isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
@@ -41,5 +43,5 @@ def print_facts(facts: dict[str, Any], as_json: bool, digits: int = 6) -> None:
                 click.echo(f"{one.get('name', key):<{width}}  patches: {patches}")
             continue
         elif isinstance(value, (list, tuple)):
-            value = " ".join(f"{v:.{digits}g}" for v in value)
+            value = " ".join(numbers_text(v, digits=digits) for v in value)
         click.echo(f"{key:<{width}}  {'-' if value is None else value}")

@@ -34,7 +34,7 @@ from surffollow.cli.scan_options import (
 @REGION
 @click.option("--gap", type=LENGTH, required=True, help="Scanning gap.")
 @click.option("--body", default="disc:0.1", show_default=True, help="disc:R, ring:R, rectangle:LxW or point.")
-@click.option("--swath", type=LENGTH, help="Distance of passes.  [default: the body's width]")
+@click.option("--swath", type=LENGTH, help="Distance of passes.  [default: the body's width across them]")
 @click.option("--scheme", type=click.Choice(["lanes", "arcs"]), default="lanes", show_default=True)
 @click.option("--angle", type=ANGLE, default="0deg", show_default=True, help="Direction of lanes.")
 @click.option("--base", type=Numbers(2, 3), help="x,y[,z] of the arm's base joint; arcs need it.")
@@ -88,6 +88,7 @@ def plan_command(
     from surffollow.scan.path_file import write_path
     from surffollow.scan.plan import PlanSettings, plan_figures, plan_scan
     from surffollow.scan.shaping import Shaper
+    from surffollow.scan.swath import swath_warning
     from surffollow.scan.timing import MotionLimits
 
     if picture:
@@ -124,6 +125,9 @@ def plan_command(
         from surffollow.scan.pictures import draw_plan
 
         draw_plan(picture, ground, plan)
+    warning = swath_warning(plan)
+    if warning:
+        click.echo(f"warning: {warning}", err=True)
     print_facts({"path": output} | plan_figures(plan), as_json)
 
 
@@ -135,6 +139,7 @@ def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> No
     """Check a path file against MAP: clearance, flags, limits, coverage. Exit code 1: not accepted.
 
     Speeds may exceed their limits by 2 % and accelerations by 10 %: they are quotients of rounded rows.
+    A swath that is wider than the body is a warning: it is the sensor's width then.
     """
     from surffollow.scan.check import check_path
 
@@ -144,11 +149,17 @@ def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> No
     findings = check_path(ground.heights_m, ground.origin_m, ground.grid_m, files[-1])
     accepted = all(f.ok for f in findings)
     if as_json:
-        rows = [{"name": f.name, "ok": f.ok, "value": f.value, "text": f.text} for f in findings]
+        rows = [
+            {"name": f.name, "ok": f.ok, "value": f.value, "text": f.text, "warning": f.warning}
+            for f in findings
+        ]
         click.echo(json.dumps({"accepted": accepted, "findings": rows}))
     else:
         for f in findings:
-            click.echo(f"{'ok  ' if f.ok else 'FAIL'}  {f.name:<17} {f.text}")
-        click.echo("accepted" if accepted else "NOT accepted")
+            click.echo(f"{f.mark}  {f.name:<17} {f.text}")
+        warned = ", ".join(f.name for f in findings if f.warning)
+        click.echo(
+            ("accepted" if accepted else "NOT accepted") + (f", with a warning: {warned}" if warned else "")
+        )
     if not accepted:
         sys.exit(1)

@@ -16,6 +16,7 @@ from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.objects import SharedObject
+from surffollow.units import numbers_text
 
 Region = tuple[float, float, float, float]
 T = TypeVar("T", bound=np.generic)
@@ -131,7 +132,7 @@ def make_window(object_: SharedObject, region: Region | None, tries: int) -> Map
     left, bottom, right, top = max(left, 0), max(bottom, 0), min(right, nx), min(top, ny)
     if left >= right or bottom >= top:
         raise RegionError(
-            f"the region {region} lies beside the map, which covers x {x0:g} to {x0 + nx * grid:g} m, "
-            f"y {y0:g} to {y0 + ny * grid:g} m"
+            f"the region {region} lies beside the map, which covers x {numbers_text(x0)} to "
+            f"{numbers_text(x0 + nx * grid)} m, y {numbers_text(y0)} to {numbers_text(y0 + ny * grid)} m"
         )
     return MapWindow(object_, header, bottom, left, top - bottom, right - left)

@@ -32,6 +32,7 @@ from surffollow.shm.layout_adaptive import FAULT_NAMES, HEALTH_NAMES
 from surffollow.shm.layout_board import RQ_MAP_INSTALL, RQ_MAP_REFOCUS, RQ_MAP_RESET
 from surffollow.shm.layout_follow import CHANNELS, MODE_ADAPTIVE, STATUS_NAMES, VALID, Output, Params
 from surffollow.shm.schema import Schema
+from surffollow.units import numbers_text
 
 PACKAGE = "surffollow"
 WORLD, TOOL = "world", "tool"
@@ -122,7 +123,7 @@ class StandardChannels:
             self.log(t_ns, f"SFReset: stand-off {event.values[0]:.6g} m")
         elif event.kind == "map":
             name = _MAP_COMMANDS.get(event.code, f"map command {event.code}")
-            self.log(t_ns, f"{name} over {' '.join(f'{v:.6g}' for v in event.values)} m")
+            self.log(t_ns, f"{name} over {numbers_text(*event.values)} m")
 
     def announce(self, t_ns: int, why: str) -> None:
         """Write the parameters in force; mounts and status follow with the next sample."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surffollow.errors import UsageError
 from surffollow.record.columns import Columns
 from surffollow.record.mcap_reader import MAGIC
-from surffollow.units import unit_scale
+from surffollow.units import decimal_number, numbers_text, unit_scale
 
 SHOWN = 200  # characters of a file in a message
 LAST_HEADER_LINE = 100  # so far the line of column names is looked for, for a message
@@ -35,6 +35,7 @@ class CsvLog:
     reference_m : (n,) float64  surface height of another estimator [m], or None
     since_s : (n,) float64      time since the first row [s] by the digits as written: a clock's origin takes
                                 none of a float64's; None: `t_s` less its first
+    lines : (n,) int64          line of each row in the file; None: not known
     """
 
     t_s: NDArray[np.float64]
@@ -42,6 +43,7 @@ class CsvLog:
     pose: NDArray[np.float64]
     reference_m: NDArray[np.float64] | None
     since_s: NDArray[np.float64] | None = None
+    lines: NDArray[np.int64] | None = None
 
     def elapsed_s(self) -> NDArray[np.float64]:
         """Time since the first row [s], (n,)."""
@@ -58,7 +60,7 @@ class CsvLog:
             if value is not None and not math.isfinite(value):
                 raise UsageError(f"{option} must be a finite number of seconds, not {value}")
         if start_s is not None and end_s is not None and end_s < start_s:
-            raise UsageError(f"--end {end_s:g} lies before --start {start_s:g}")
+            raise UsageError(f"--end {numbers_text(end_s)} lies before --start {numbers_text(start_s)}")
         keep = np.ones(self.t_s.size, bool)
         if start_s is not None:
             keep &= self.t_s >= start_s
@@ -66,7 +68,8 @@ class CsvLog:
             keep &= self.t_s <= end_s
         reference = None if self.reference_m is None else self.reference_m[keep]
         since = None if self.since_s is None else self.since_s[keep]
-        return CsvLog(self.t_s[keep], self.range_m[keep], self.pose[keep], reference, since)
+        lines = None if self.lines is None else self.lines[keep]
+        return CsvLog(self.t_s[keep], self.range_m[keep], self.pose[keep], reference, since, lines)
 
 
 def read_csv(path: str | Path, columns: Columns) -> CsvLog:
@@ -96,7 +99,8 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     if columns.reference is not None:
         reference = cells[columns.reference.column] * unit_scale(columns.reference.unit, "m")
     since_s = _since(times, unit_scale(columns.time.unit, "s"))
-    return CsvLog(t_s, _ranges(columns, cells), _poses(columns, cells, t_s.size), reference, since_s)
+    poses, at = _poses(columns, cells, t_s.size), np.array(lines, np.int64)
+    return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, at)
 
 
 def _text(path: str | Path) -> str:
@@ -202,7 +206,7 @@ def _number(cell: str, optional: bool, where: str) -> float:
     if optional and cell.lower() in ("", "nan"):
         return math.nan
     try:
-        value = float(cell)
+        value = decimal_number(cell)
     except ValueError:
         value = math.nan
     if not math.isfinite(value) and not (optional and value == math.inf):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.params import names_given, param_name
-from surffollow.errors import FaultError, UsageError
+from surffollow.errors import UsageError
 from surffollow.follower import Follower
 from surffollow.follower.setup import TABLES
 from surffollow.record.columns import Columns
 from surffollow.record.csv_log import CsvLog
+from surffollow.record.csv_points import target_points
+from surffollow.record.table import write_csv
 from surffollow.units import parse_quantity
 
 ROWS_PER_REPORT = 4096  # of the progress
@@ -156,32 +157,14 @@ def follow_notes(columns: Columns, mode: str) -> list[str]:
     return [f"[follow] {', '.join(idle)}: without effect on height, slope and forecast in {mode} mode{other}"]
 
 
-def target_points(log: CsvLog, columns: Columns) -> NDArray[np.float64]:
-    """End of each row's beam in the world, (n, 3) [m]; NaN without a reading."""
-    from scipy.spatial.transform import Rotation
-
-    attitude = Rotation.from_quat(log.pose[:, 3:])
-    sensor = Rotation.from_quat(columns.mount.orientation)
-    position = np.array([parse_quantity(v, "m") for v in columns.mount.position])
-    beam = -log.range_m[:, None] * sensor.apply([0.0, 0.0, 1.0])
-    points: NDArray[np.float64] = log.pose[:, :3] + attitude.apply(position + beam)
-    return points
-
-
 def write_rows(path: str | Path, replay: CsvReplay) -> None:
-    """Write target points, surface height and slope as CSV; empty cells where there is none.
+    """Write target points, surface height and slope as CSV, atomically and exactly; empty cells for none.
 
     Raises
     ------
-    FaultError  the file cannot be written
+    MapFileError  the file cannot be written
     """
     log = replay.log
     reference = log.reference_m if log.reference_m is not None else np.full(log.t_s.size, np.nan)
-    table = np.column_stack([log.t_s, log.range_m, replay.target_m, replay.height_m, replay.slope, reference])
-    try:
-        with open(path, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(ROW_HEADER)
-            writer.writerows(["" if v != v else f"{v:.9g}" for v in row] for row in table)
-    except OSError as e:
-        raise FaultError(f"cannot write {path}: {e.strerror}; choose another --out") from None
+    columns = (log.t_s, log.range_m, *replay.target_m.T, replay.height_m, replay.slope, reference)
+    write_csv(path, dict(zip(ROW_HEADER, columns)))

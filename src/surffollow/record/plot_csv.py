@@ -15,6 +15,7 @@ from surffollow.record.columns import Columns
 from surffollow.record.csv_replay import CsvReplay
 from surffollow.record.drawn_series import MAX_ROWS, draw_series, drawn_series, pauses, reduction
 from surffollow.record.forecast_scores import pair_forecasts, score_forecast
+from surffollow.units import numbers_text
 
 # without a horizontal way of this many typical distances there is no map to draw
 _MIN_PATH = 1.0
@@ -50,7 +51,7 @@ def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | P
         _draw_readings(axes[1], t, replay)
         _draw_forecast(axes[2], t, replay, columns)
         axes[0].set_xlim(*((0.0, float(t[-1])) if t[-1] > 0.0 else (-1.0, 1.0)))
-        axes[2].set(xlabel=f"time [s] since {replay.log.t_s[0]:.6g} s of the log")
+        axes[2].set(xlabel=f"time [s] since {numbers_text(float(replay.log.t_s[0]))} s of the log")
         _draw_scores(figure.add_subplot(grid[3, 0]), replay, columns)
         _draw_path(figure, figure.add_subplot(grid[3, 1]), replay, columns)
         fg.save_figure(figure, out)
@@ -163,14 +164,14 @@ def _draw_scores(ax: Any, replay: CsvReplay, columns: Columns) -> None:
     ax.bar_label(bars, [f"× {r:.2f}" if r == r else "" for r in ratios], fontsize=7, padding=2)
     ax.set_xticks(at, [f"{s['horizon_s']:g} s\nn = {s['n']:.0f}" for s in scores])
     ax.set(ylabel=f"RMS [{unit}]", xlabel="horizon")
-    ax.set_ylim(0.0, 1.3 * float(values.max()) * factor)
+    ax.set_ylim(0.0, 1.3 * (float(values.max()) * factor or 1.0))
     ax.legend(loc="upper left")
 
 
 def _draw_path(figure: Any, ax: Any, replay: CsvReplay, columns: Columns) -> None:
     has = np.isfinite(replay.target_m).all(axis=1)
     points = replay.target_m[has]
-    way = np.ptp(points[:, :2], axis=0)
+    way = np.ptp(points[:, :2], axis=0) if len(points) else np.zeros(2)
     typical = float(np.median(np.abs(replay.log.range_m[has]))) if has.any() else 0.0
     if float(np.hypot(*way)) < _MIN_PATH * typical * 1e-3 or float(np.hypot(*way)) == 0.0:
         ax.axis("off")
@@ -178,6 +179,8 @@ def _draw_path(figure: Any, ax: Any, replay: CsvReplay, columns: Columns) -> Non
         place = columns.position
         known = place is not None and (place.north is not None or place.east is not None)
         text = "the horizontal position does not change" if known else "the log has no horizontal position"
+        if not has.any():
+            text = "no reading has a pose of its time: the log is shorter than the delay"
         ax.text(0.0, 0.9, text, va="top", transform=ax.transAxes)
         return
     factor, unit = fg.length_scale(points[:, 2])

@@ -21,7 +21,7 @@ from surffollow.scan.check_clearance import (
     is_beside,
     unknown_centres,
 )
-from surffollow.scan.check_coverage import check_coverage
+from surffollow.scan.check_coverage import check_coverage, check_swath
 from surffollow.scan.check_file import Array, Facts, Poses, between, read_rows
 from surffollow.scan.check_finding import Finding
 from surffollow.scan.check_placement import control_points, rotations
@@ -92,6 +92,7 @@ def check_path(
         _reach(rows.flags, rows.passes),
         *_motion(at["t_s"], rows.position, facts.speed, facts.acceleration, facts.climb),
         check_coverage(*place, every, facts.swath, facts.region),
+        check_swath(grid_m, rows, every, facts.swath, facts.body, facts.region),
     ]
 
 

@@ -31,11 +31,12 @@ def _distances(z: Array, origin: tuple[float, float], g: float, flat: Array, gap
     distance = np.empty(len(flat))
     for k in range(0, len(flat), _CHUNK):
         distance[k : k + _CHUNK] = tree.query(flat[k : k + _CHUNK])[0]
-    # a point below the surface is nearer than the distance
+    # a point below the surface is nearer than the distance; beside the map there is no surface to be below
     j = np.clip(((flat[:, 0] - origin[0]) / g).astype(np.int64), 0, z.shape[1] - 1)
     i = np.clip(((flat[:, 1] - origin[1]) / g).astype(np.int64), 0, z.shape[0] - 1)
     with np.errstate(invalid="ignore"):
-        return np.where(flat[:, 2] < z[i, j], -distance, distance)
+        below = (flat[:, 2] < z[i, j]) & ~is_beside(z, origin, g, flat[:, :2])
+    return np.where(below, -distance, distance)
 
 
 def check_clearance(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import ScanFileError, ScanInputError
+from surffollow.units import numbers_text
 
 Floats = NDArray[np.float64]
 
@@ -60,8 +61,8 @@ def region_of(region: Sequence[float]) -> tuple[float, float, float, float]:
     x0, y0, x1, y1 = (float(v) for v in values)
     if not (np.isfinite(values).all() and x0 < x1 and y0 < y1):
         raise ScanInputError(
-            f"a region is x_min, y_min, x_max, y_max in metres with positive sides, not {x0:g}, {y0:g}, "
-            f"{x1:g}, {y1:g}"
+            f"a region is x_min, y_min, x_max, y_max in metres with positive sides, not "
+            f"{numbers_text(x0, y0, x1, y1)}"
         )
     return x0, y0, x1, y1
 

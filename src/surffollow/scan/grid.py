@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from surffollow.errors import ScanInputError
 from surffollow.map import access
 from surffollow.scan.checks import Floats, positive, real_array, region_of
+from surffollow.units import numbers_text
 
 if TYPE_CHECKING:
     from surffollow.map import HeightMap
@@ -212,8 +213,9 @@ class TerrainGrid:
         if left >= right or low >= high:
             a, b, c, d = self.extent_m
             raise ScanInputError(
-                f"the region {x0:g}, {y0:g}, {x1:g}, {y1:g} m lies beside the map, which covers x {a:g} to "
-                f"{c:g} m, y {b:g} to {d:g} m; choose a region inside it"
+                f"the region {numbers_text(x0, y0, x1, y1)} m lies beside the map, which covers "
+                f"x {numbers_text(a)} to {numbers_text(c)} m, y {numbers_text(b)} to {numbers_text(d)} m; "
+                "choose a region inside it"
             )
         return TerrainGrid(
             np.ascontiguousarray(self.heights_m[low:high, left:right]),

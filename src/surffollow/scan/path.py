@@ -51,7 +51,7 @@ class ScanPath:
     normal : (n, 3) float64
         unit z axis of the body in the ground frame
     azimuth_rad : (n,) float64
-        heading of the wrist's first axis (arm azimuth; lanes: 0)
+        heading of the wrist's first axis (arm azimuth; lanes: 0), continuous from row to row
     clearance_m : (n,) float64 [m]
         least distance of the underside from the ground; NaN unknown
     lift_m : (n,) float64 [m]
@@ -132,8 +132,14 @@ class ScanPath:
 
     @property
     def quaternion(self) -> Floats:
-        """(n, 4) body to ground rotation x, y, z, w: the wrist's tilt at the azimuth."""
-        return quaternions_of(self.normal, self.azimuth_rad)
+        """(n, 4) body to ground rotation x, y, z, w: the wrist's tilt at the azimuth.
+
+        Of q and -q, which are one rotation, each row has the one nearer to the row before.
+        """
+        q = quaternions_of(self.normal, self.azimuth_rad)
+        away = (q[1:] * q[:-1]).sum(axis=1) < 0.0
+        q[1:] *= np.cumprod(np.where(away, -1.0, 1.0))[:, None]
+        return q
 
     @property
     def poses(self) -> Floats:

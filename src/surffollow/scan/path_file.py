@@ -37,6 +37,7 @@ COLUMNS = (
     "flags",
 )
 
+DECIMALS = 9  # nanometres and nanoseconds, wherever the origin is: rows lie far farther apart
 NUMBERS = ("gap_m", "grid_m", "swath_m", "speed_mps", "acceleration_mps2", "lateral_mps2", "vertical_mps")
 # of arrays, possible lengths of each axis
 ARRAYS: dict[str, tuple[tuple[int, ...], ...]] = {
@@ -83,12 +84,13 @@ def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
     table = np.column_stack(
         [plan.t_s, plan.poses, plan.normal, plan.azimuth_rad, plan.clearance_m, plan.lift_m]
     )
+    rows = zip(table.tolist(), plan.passes.tolist(), plan.flags.tolist())
     with replacing(path) as temporary, open(temporary, "w", encoding="ascii", newline="\n") as f:
         f.write(f"# format = {json.dumps(FORMAT)}\n")
         f.writelines(facts)
         f.write(",".join(COLUMNS) + "\n")
-        for row, number, bits in zip(table.tolist(), plan.passes.tolist(), plan.flags.tolist()):
-            f.write(",".join([f"{v:.9g}" for v in row]) + f",{number},{bits}\n")
+        for row, number, bits in rows:
+            f.write(",".join([str(round(v, DECIMALS) + 0.0) for v in row]) + f",{number},{bits}\n")
 
 
 def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:

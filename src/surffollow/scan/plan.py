@@ -23,7 +23,9 @@ from surffollow.scan.schemes import arcs, lanes
 from surffollow.scan.serpentine import outline
 from surffollow.scan.shaped_motion import SAMPLES_PER_PERIOD, limited_climb, shaped_planar
 from surffollow.scan.shaping import Shaper
+from surffollow.scan.swath import body_width
 from surffollow.scan.timing import MotionLimits, timed
+from surffollow.units import numbers_text
 
 SCHEMES = ("lanes", "arcs")
 FOLLOWING = ("atf", "reactionary")
@@ -43,7 +45,7 @@ class PlanSettings:
     body_m : (m, 3) float [m]
         control points (`body`)
     swath_m : float [m]
-        distance of passes; None: the body's width
+        distance of passes; None: the body's width across them
     scheme : str
         "lanes" or "arcs"
     angle_rad : float
@@ -119,9 +121,11 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
     gap = positive("gap_m", settings.gap_m)
     corners = outline(settings.region)
     radius = float(np.hypot(body[:, 0], body[:, 1]).max())
-    swath = settings.swath_m if settings.swath_m is not None else 2.0 * radius
+    turned = settings.work_space is not None
+    width = body_width(body, settings.scheme, settings.angle_rad, turned=turned)
+    swath = settings.swath_m if settings.swath_m is not None else width
     if swath <= 0.0:
-        raise ScanInputError("a body that is one point has no width; give swath_m")
+        raise ScanInputError("the body has no width across its passes; give swath_m")
     sides = np.ptp(corners, axis=0)
     if gap > float(sides.max()):
         raise ScanInputError(
@@ -156,6 +160,7 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         "grid_m": ground.grid_m,
         "region_m": corners.tolist(),
         "body_m": np.round(body, 9).tolist(),
+        "body_width_m": width,
         "wrist_rad": settings.wrist.as_array().tolist(),
         "following": settings.following,
         "speed_mps": settings.motion.speed_mps,
@@ -184,9 +189,7 @@ def _around(ground: TerrainGrid, corners: Floats, margin_m: float) -> TerrainGri
     box = [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
     inside = ground.window(box)
     if not inside.known.any():
-        raise ScanInputError(
-            f"no cell of the region {box[0]:g}, {box[1]:g}, {box[2]:g}, {box[3]:g} m is known; map it first"
-        )
+        raise ScanInputError(f"no cell of the region {numbers_text(*box)} m is known; map it first")
     return ground.window(box, margin_m)
 
 
@@ -196,7 +199,7 @@ def _scheme(settings: PlanSettings, swath: float, step: float) -> ScanPath:
         path = lanes(settings.region, swath, step_m=step, angle_rad=angle, run_up_m=way)
         if settings.work_space is not None:
             tip = np.nan_to_num(path.position_m)
-            return path.changed(azimuth_rad=settings.work_space.azimuth_rad(tip))
+            return path.changed(azimuth_rad=np.unwrap(settings.work_space.azimuth_rad(tip)))
         return path
     if settings.scheme != "arcs":
         raise ScanInputError(f"scheme is '{settings.scheme}'; expected one of {', '.join(SCHEMES)}")

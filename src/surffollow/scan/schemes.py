@@ -12,6 +12,7 @@ from surffollow.errors import ScanInputError
 from surffollow.scan.checks import Floats, finite, positive
 from surffollow.scan.path import ScanPath
 from surffollow.scan.serpentine import Stretch, dense_outline, joined, outline, strips
+from surffollow.units import numbers_text
 
 MAX_SAMPLES = 5_000_000
 STEPS_PER_SWATH = 64  # of the region's outline
@@ -70,13 +71,16 @@ def lanes(
     corners, swath, step = outline(region), positive("swath_m", swath_m), positive("step_m", step_m)
     angle = finite("angle_rad", angle_rad, "rad")
     c, s = math.cos(angle), math.sin(angle)
-    ab = corners @ np.array([[c, -s], [s, c]])
+    # turned about whole metres nearby: far from the origin a rotation about it would lose digits
+    near = np.floor(corners.min(axis=0))
+    ab = (corners - near) @ np.array([[c, -s], [s, c]])
     b, width = strips(float(ab[:, 1].min()), float(ab[:, 1].max()), swath)
     _not_too_many(len(b) * float(np.ptp(ab[:, 0])) / step)
     spans = _spans(dense_outline(ab, swath / STEPS_PER_SWATH), b, width, swath / STEPS_PER_SWATH)
     samples, passes = _run(b, spans, lambda _: 1.0, step, flip, run_up_m)
-    xy = samples @ np.array([[c, s], [-s, c]])
-    return ScanPath.planar(xy, passes, facts={"scheme": "lanes", "angle_rad": angle, "swath_m": swath})
+    xy = near + samples @ np.array([[c, s], [-s, c]])
+    facts = {"scheme": "lanes", "angle_rad": angle, "swath_m": swath, "pass_distance_m": width}
+    return ScanPath.planar(xy, passes, facts=facts)
 
 
 def arcs(
@@ -99,7 +103,7 @@ def arcs(
     Returns
     -------
     ScanPath
-        z unknown; azimuth: direction from the base to the tip
+        z unknown; azimuth: direction from the base to the tip, without a jump at ±π
 
     Raises
     ------
@@ -127,7 +131,7 @@ def arcs(
     edge = dense_outline(corners, fine) - base
     if _inside(corners, base):
         raise ScanInputError(
-            f"the base at {base[0]:g}, {base[1]:g} m lies inside the region; arcs need a region beside it"
+            f"the base at {numbers_text(*base)} m lies inside the region; arcs need a region beside it"
         )
     rho = np.hypot(edge[:, 0], edge[:, 1])
     middle = corners.mean(axis=0) - base
@@ -141,8 +145,7 @@ def arcs(
     samples, passes = _run(radii, spans, lambda r: r, step, flip, run_up_m)
     azimuth = samples[:, 0] + centre
     xy = base + samples[:, 1:] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-    azimuth = (azimuth + math.pi) % (2 * math.pi) - math.pi
-    facts = {"scheme": "arcs", "base_m": [float(v) for v in base], "swath_m": swath}
+    facts = {"scheme": "arcs", "base_m": base.tolist(), "swath_m": swath, "pass_distance_m": width}
     return ScanPath.planar(xy, passes, azimuth_rad=azimuth, facts=facts)
 
 

@@ -21,6 +21,8 @@ _AHEAD = np.r_[0.0, np.cumsum(0.5 * (np.cos(_HEADING[1:]) + np.cos(_HEADING[:-1]
 _ACROSS = np.r_[0.0, np.cumsum(0.5 * (np.sin(_HEADING[1:]) + np.sin(_HEADING[:-1]))) * _U[1]]
 
 Stretch = Callable[[float], float]
+SAME_STEPS = 1e-3  # of a step: places nearer than that are one, apart by rounding
+SAME_STRIPS = 1e-6  # of a strip, likewise
 
 
 def outline(region: ArrayLike | Sequence[float]) -> Floats:
@@ -54,7 +56,7 @@ def dense_outline(corners: Floats, step_m: float) -> Floats:
 
 def strips(low: float, high: float, swath_m: float) -> tuple[Floats, float]:
     """Middles of the fewest equal strips no wider than a swath that cover low … high, and their width."""
-    n = max(1, math.ceil((high - low) / swath_m - 1e-9))
+    n = max(1, math.ceil((high - low) / swath_m - SAME_STRIPS))
     width = (high - low) / n
     return np.asarray(low + (np.arange(n) + 0.5) * width, np.float64), width
 
@@ -92,7 +94,7 @@ def joined(
             break
         side = 1 if forward else 0
         far = max(spans[k, 1], spans[k + 1, 1]) if forward else min(spans[k, 0], spans[k + 1, 0])
-        if far != end:
+        if abs(far - end) * unit > SAME_STEPS * step_m:
             add(_straight(end, far, b[k], unit, step_m, last=True)[1:], -1)
         length = abs(float(b[k + 1] - b[k])) / float(_ACROSS[-1])
         n = max(8, math.ceil(length / step_m))
@@ -103,14 +105,14 @@ def joined(
         across = b[k] + np.interp(u, _U, _ACROSS) / _ACROSS[-1] * (b[k + 1] - b[k])
         add(np.column_stack([ahead, across]), -1)
         begin_next = spans[k + 1, side]
-        if far != begin_next:
-            unit_next = stretch(float(b[k + 1]))
+        unit_next = stretch(float(b[k + 1]))
+        if abs(far - begin_next) * unit_next > SAME_STEPS * step_m:
             add(_straight(far, begin_next, b[k + 1], unit_next, step_m, last=False), -1)
         forward = not forward
     return np.vstack(parts), np.array(numbers, np.int32)
 
 
 def _straight(begin: float, end: float, b: float, unit: float, step_m: float, *, last: bool) -> Floats:
-    n = max(1, math.ceil(abs(end - begin) * unit / step_m - 1e-9))
+    n = max(1, math.ceil(abs(end - begin) * unit / step_m - SAME_STEPS))
     a = begin + (end - begin) * np.arange(n + 1 if last else n) / n
     return np.column_stack([a, np.full(len(a), float(b))])

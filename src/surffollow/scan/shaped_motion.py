@@ -85,5 +85,4 @@ def shaped_planar(
     moving = (late >= 0.0) & (late <= path.t_s[-1])
     passes = np.where(moving, path.passes[nearest], -1).astype(np.int32)
     turned = shaped_values(np.unwrap(path.azimuth_rad))
-    turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
     return ScanPath.planar(xy, passes, azimuth_rad=turned, facts=path.facts).changed(t_s=t)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from surffollow.errors import ScanFileError, ScanInputError, install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.checks import Floats, positive, real_array, region_of
+from surffollow.units import numbers_text
 
 MAX_CELLS = 100_000_000
 NODATA = -9999.0
@@ -202,7 +203,7 @@ def signal_map(
     inside = (col >= 0) & (col < cols) & (row >= 0) & (row < rows)
     if not inside.any():
         raise ScanInputError(
-            f"none of the {len(v)} samples lies in the region {x0:g}, {y0:g}, {x1:g}, {y1:g} m"
+            f"none of the {len(v)} samples lies in the region {numbers_text(x0, y0, x1, y1)} m"
         )
     cell, v = row[inside] * cols + col[inside], v[inside]
     count = np.bincount(cell, minlength=rows * cols)

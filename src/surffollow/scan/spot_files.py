@@ -11,6 +11,7 @@ from surffollow.errors import ScanFileError
 from surffollow.scan.checks import Floats, plain_file
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.surface_lookup import sample_surface
+from surffollow.units import decimal_number, numbers_text
 
 
 def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | None = None) -> Floats:
@@ -49,7 +50,7 @@ def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | 
     try:
         with open(path, encoding="utf-8", newline="") as f:
             rows = list(csv.DictReader(f))
-        spots = np.array([[float(r[k]) for k in ("x_m", "y_m", third)] for r in rows], np.float64)
+        spots = np.array([[decimal_number(r[k]) for k in ("x_m", "y_m", third)] for r in rows], np.float64)
     except KeyError as e:
         raise ScanFileError(f"{path} has no column {e}; expected x_m, y_m and {third}") from e
     except (OSError, ValueError, TypeError, csv.Error) as e:
@@ -67,7 +68,7 @@ def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | 
     if np.isnan(out[:, 0]).any():
         k = int(np.flatnonzero(np.isnan(out[:, 0]))[0])
         raise ScanFileError(
-            f"spot {k + 1} of {path} ({spots[k, 0]:g}, {spots[k, 1]:g} m) is on unknown ground of {map_file}"
+            f"spot {k + 1} of {path} ({numbers_text(*spots[k, :2])} m) is on unknown ground of {map_file}"
         )
     spots[:, 2] -= out[:, 0]
     return spots

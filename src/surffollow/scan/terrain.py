@@ -14,6 +14,7 @@ from surffollow.errors import ScanInputError
 from surffollow.scan.checks import Floats, positive, real_array, region_of
 from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.triangles import lay_triangles
+from surffollow.units import numbers_text
 
 FILL_CELLS = 10.0  # holes this wide are filled by default
 MAX_CELLS = 100_000_000
@@ -89,7 +90,7 @@ def terrain_map(
     )
     points, w = points[near], w[near]
     if len(points) == 0:
-        raise ScanInputError(f"no point lies in the region {x0:g}, {y0:g}, {x1:g}, {y1:g} m")
+        raise ScanInputError(f"no point lies in the region {numbers_text(x0, y0, x1, y1)} m")
     nodes = averages(points, w, (x0, y0), side)
     cells = np.column_stack([(nodes[:, 0] - x0) / g - 0.5, (nodes[:, 1] - y0) / g - 0.5, nodes[:, 2]])
     triangles = delaunay(cells[:, :2])  # before the grid: its working memory is the larger one

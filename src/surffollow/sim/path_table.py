@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surffollow.errors import UsageError
 from surffollow.map.formats.npz import DAMAGED_ARCHIVE
 from surffollow.sim.column_file import read_columns
+from surffollow.units import decimal_number
 
 NEEDED = ("x_m", "y_m")
 ATTITUDE = ("qx", "qy", "qz", "qw")
@@ -147,7 +148,7 @@ def _number(file: str, number: int, name: str, text: str) -> float:
     if name == "stop" and text in _WORDS:
         return _WORDS[text]
     try:
-        return float(text)
+        return decimal_number(text)
     except ValueError:
         if name not in KNOWN:
             return 0.0

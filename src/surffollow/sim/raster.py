@@ -13,6 +13,7 @@ from surffollow.errors import UsageError
 from surffollow.shm.jit import jit
 from surffollow.sim.path_table import PathTable, read_path_table
 from surffollow.sim.surfaces import Region
+from surffollow.units import numbers_text
 
 SPACING_M = 1e-3  # of a path's points
 KINDS = ("line", "raster")
@@ -153,8 +154,8 @@ def _check_inside(file: str, x: NDArray[np.float64], y: NDArray[np.float64], reg
     if outside.any():
         k = int(np.argmax(outside))
         raise UsageError(
-            f"path '{file}', corner {k + 1}: ({x[k]:g}, {y[k]:g}) m lies outside the ground, {region} m; "
-            "places are metres of the world"
+            f"path '{file}', corner {k + 1}: ({numbers_text(x[k], y[k])}) m lies outside the ground, "
+            f"{region} m; places are metres of the world"
         )
 
 
