@@ -198,7 +198,7 @@ def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, 
     ("section", "follow", "expected_m"),
     [
         ({}, {}, 0.0),
-        ({}, {"mode": "paper", "offset": "4 in"}, 25.4e-6),
+        ({}, {"mode": "paper", "offset": "4 in"}, pytest.approx(25.4e-6)),
         ({"quantum": "1 mm"}, {"mode": "paper"}, 1e-3),
         ({"quantum": "1 mm"}, {}, 1e-3),
     ],

@@ -13,7 +13,6 @@ from surffollow.config.params import PARAMS, check_param, names_given
 from surffollow.config.stop_causes import stop_causes
 from surffollow.config.toml_file import naming_source, read_toml
 from surffollow.errors import ConfigError
-from surffollow.shm.map_layout import DEFAULT_QUANTUM_M
 from surffollow.units import parse_quantity
 
 _PAPER_MODE = PARAMS["mode"].choices.index("paper")
@@ -257,9 +256,10 @@ def map_quantum_m(c: ServiceConfig) -> float:
     ------
     ConfigError  neither a length that a map can have nor "standoff"
     """
-    if c.map.quantum != "standoff":
-        return metres(c.map.quantum, "map.quantum", 1e-9, 10.0)
-    return DEFAULT_QUANTUM_M if _is_paper(c) else 0.0
+    if c.map.quantum == "standoff" and not _is_paper(c):
+        return 0.0
+    given = "0.001 in" if c.map.quantum == "standoff" else c.map.quantum
+    return metres(given, "map.quantum", 1e-9, 10.0)
 
 
 def load_config(path: str | Path) -> ServiceConfig:
