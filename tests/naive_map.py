@@ -97,14 +97,15 @@ class NaiveMap:
             self.counters["outside"] += 1
             return
         q = (z - self.datum) * self.per_quantum
-        if abs(q) > 32767:
-            q = math.copysign(32767, q)
-            self.counters["clipped"] += 1
         mean, count = self.grids.get((iy, ix), (UNKNOWN, 0))
         if self.gate > 0 and count >= self.gate_min and abs(q - mean) > self.gate * self.per_quantum:
             worn = count - max(count // 8, 1)
             self.grids[iy, ix] = mean, worn if worn >= self.gate_min else 0
             self.counters["gated"] += 1
+            return
+        if abs(q) > 32767:
+            self.grids.pop((iy, ix), None)
+            self.counters["clipped"] += 1
             return
         if self.paper:
             self.grids[iy, ix] = paper_mean(mean, count, q)

@@ -381,13 +381,19 @@ static int64_t update_map(MapHeader *w, GridPair *pairs, double x, double y, dou
     w->datum_set = 1;
   }
   double z = (z_m - w->datum_m) * w->inv_quantum_per_m;
-  if (fabs(z) > 32767.0) {
-    z = z > 0.0 ? 32767.0 : -32767.0;
-    w->clipped++;
-  }
   int64_t ix = (int64_t)fx, iy = (int64_t)fy, i = iy * w->nx + ix;
   GridPair *pair = pairs + (i >> 1);
   int lane = i & 1;
+  int64_t tile = (iy >> w->tile_shift) * w->tiles_x + (ix >> w->tile_shift);
+  if (!(fabs(z) <= 32767.0)) {
+    w->clipped++;
+    if (pair->h[lane] != -32768) {
+      pair->c[lane] = 0;
+      pair->h[lane] = -32768;
+      w->dirty[tile]++;
+    }
+    return 0;
+  }
   int64_t count = pair->c[lane], n = w->dither_count++;
   if ((n & 63) == 0) {
     uint64_t h = w->dither_seed + (uint64_t)(n >> 6) * 0x9E3779B97F4A7C15u;
@@ -404,7 +410,7 @@ static int64_t update_map(MapHeader *w, GridPair *pairs, double x, double y, dou
   int64_t raised = (int64_t)(mean + (z - mean) * reciprocal[count] + (u + 32768.0)) - 32768;
   pair->h[lane] = (int16_t)(raised < 32767 ? raised : 32767);
   pair->c[lane] = (uint8_t)(count < 255 ? count + 1 : 255);
-  w->dirty[(iy >> w->tile_shift) * w->tiles_x + (ix >> w->tile_shift)]++;
+  w->dirty[tile]++;
   w->samples++;
   return 1;
 }

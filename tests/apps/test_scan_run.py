@@ -6,6 +6,7 @@ import json
 import os
 import pty
 import signal
+import socket
 import subprocess
 import sys
 
@@ -14,11 +15,12 @@ import pytest
 from click.testing import CliRunner
 
 from running_service import READY_S, WAIT_S, Service, begin_command, config_text, run_command, until
+from surffollow.apps import scan_control
 from surffollow.apps.scan_control import ControlServer, ask
 from surffollow.apps.scan_report import inside_text, title_text
 from surffollow.apps.scan_run import Executed
 from surffollow.cli.main import cli
-from surffollow.errors import NotRunningError
+from surffollow.errors import BusyError, NotRunningError
 from surffollow.map import HeightMap
 
 GAP_M = 0.08  # within the window of the simulated sensor
@@ -234,6 +236,24 @@ def test_two_scans_of_one_service_exclude_each_other_and_words_are_checked():
     with pytest.raises(NotRunningError, match="scan run"):
         ask("twice", "pause")
     ControlServer("twice").close()
+
+
+@pytest.mark.parametrize(
+    ("listens", "says"),
+    [(True, "^user 1001 holds the control socket"), (False, "^a process that takes no connection holds")],
+)
+def test_an_address_that_is_held_by_another_user_is_no_scan_that_could_be_aborted(monkeypatch, listens, says):
+    # GIVEN a process of another user on the address of a service's scans
+    monkeypatch.setattr(scan_control, "_user", lambda connection: 1001)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as squatter:
+        squatter.bind("\0surffollow.scan.squatted")
+        if listens:
+            squatter.listen(1)
+        # WHEN a scan begins, THEN the refusal names the user and how root finds the process
+        with pytest.raises(BusyError, match=says) as refused:
+            ControlServer("squatted")
+    assert "ss -xap | grep -F @surffollow.scan.squatted" in str(refused.value)
+    assert "abort" not in str(refused.value)
 
 
 def test_an_abort_retracts_after_the_service_has_died(folder):

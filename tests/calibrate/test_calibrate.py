@@ -121,6 +121,15 @@ def test_moves_that_cannot_tell_the_mount_are_refused(tilt_x: float, tilt_y: flo
         fit_mount(*over_a_plate(tilt_x, tilt_y, 200))
 
 
+def test_moves_far_from_the_origin_give_the_same_mount() -> None:
+    poses, seen = over_a_plate(0.4, 0.4, 60)
+    here, middle = fit_mount(poses, seen), (512345.6789, 5812345.6789, 1500.0)
+    poses[:, :3] += middle
+    there = fit_mount(poses, seen)
+    assert there.mount == pytest.approx(here.mount, abs=1e-7)
+    assert there.plate[3] == pytest.approx(np.dot(there.plate[:3], middle) + here.plate[3], abs=1e-5)
+
+
 @pytest.mark.parametrize("norm", [0.0, 0.5, 1.1])
 def test_a_quaternion_that_is_none_is_reported_with_its_move(norm: float) -> None:
     poses, seen = over_a_plate(0.4, 0.4, 40)

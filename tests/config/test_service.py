@@ -15,6 +15,7 @@ from surffollow.config.service import (
     ServiceConfig,
     follow_params,
     load_config,
+    map_quantum_m,
     map_rounding,
     mode,
     parse_config,
@@ -191,6 +192,20 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
 )
 def test_paper_mode_is_one_setting_the_maps_rounding_included(rounding, follow, expected):
     assert map_rounding(parse_config({"map": rounding, "follow": follow})) == expected
+
+
+@pytest.mark.parametrize(
+    ("section", "follow", "expected_m"),
+    [
+        ({}, {}, 0.0),
+        ({}, {"mode": "paper", "offset": "4 in"}, 25.4e-6),
+        ({"quantum": "1 mm"}, {"mode": "paper"}, 1e-3),
+        ({"quantum": "1 mm"}, {}, 1e-3),
+    ],
+)
+def test_heights_have_the_papers_resolution_in_paper_mode(section, follow, expected_m):
+    """0: it follows from the stand-off at each MapReset."""
+    assert map_quantum_m(parse_config({"map": section, "follow": follow})) == expected_m
 
 
 @pytest.mark.parametrize(

@@ -53,12 +53,18 @@ def follow(
     latest_s: float = 0.0,
     live: tuple[float, dict] | None = None,
     drift: float = 0.0,
+    place_m: Callable[[float], float] | None = None,
+    height_noise_m: float = 0.0,
+    older_s: float = 0.0,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
     `misread(t, range, generator)` gives the reading in place of a range [m]. Each reading arrives up to
     `latest_s` after its time, at random; readings may overtake each other. The first tenth is left out.
     `live`: parameters that are set at a time [s]. `drift`: rate by which the sensor's clock is fast.
+    `place_m`: place of the tool along its way at a time, in place of a constant speed.
+    `height_noise_m`: standard deviation of the height in a pose [m].
+    `older_s`: by which timestamps of readings are set back [s].
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
@@ -70,18 +76,19 @@ def follow(
     pose_ms, reading_ms = round(1e3 * job.pose_s), round(1e3 * job.reading_s)
     for ms in range(round(1e3 * seconds)):
         t = ms * dt
-        x, t_ns = speed_mps * t, 10**9 + ms * 1_000_000
+        x = speed_mps * t if place_m is None else place_m(t)
+        t_ns = 10**9 + ms * 1_000_000
         ground = ground_m(x, t)
         if live is not None and ms == round(1e3 * live[0]):
             f.set_params(**live[1])
         if ms % pose_ms == 0:
-            f.pose(t_ns, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
-            z_plain = z
+            z_plain = z + (height_noise_m * float(rng.standard_normal()) if height_noise_m else 0.0)
+            f.pose(t_ns, (x, 0.0, z_plain, 0.0, 0.0, 0.0, 1.0))
         if ms % reading_ms == 0:
             r = z - ground + job.sigma_m * float(rng.standard_normal())
             r = misread(t, r, rng) if misread else r
             r = r if near_m < r < far_m else math.nan
-            stamp_ns = t_ns + round(drift * ms * 1_000_000)
+            stamp_ns = t_ns + round(drift * ms * 1_000_000) - round(1e9 * older_s)
             coming.append((ms + round(1e3 * latest_s * float(rng.random())) if latest_s else ms, stamp_ns, r))
         for arrival in [a for a in coming if a[0] <= ms]:
             coming.remove(arrival)
@@ -91,7 +98,7 @@ def follow(
         if ms % pose_ms == 0:
             demand = float(f.step(t_ns, [math.nan])[2])
             if not plain:
-                target = z + demand
+                target = z_plain + demand
             if ms > 100 * seconds:
                 clearance.append(z - ground)
                 states.append(f.state())

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from surffollow import Follower
+
+from .job_loop import BOOM, CELL, follow
 
 MS = 1_000_000
 TAU_S, STANDOFF_M = 0.04, 0.1
@@ -50,3 +53,25 @@ def test_a_small_jump_of_the_height_costs_no_clearance(jump_m):
     least_m, _, _ = followed(jump_m=jump_m)
     print(f"least clearance {1e3 * least_m:.1f} mm")
     assert least_m > 0.98 * STANDOFF_M
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("job", "speed_mps"), [(BOOM, 1.5), (CELL, 0.1)], ids=["boom", "cell"])
+def test_noise_of_the_height_is_no_noise_of_the_ranges(job, speed_mps, seed):
+    """GIVEN a fall of 20 % and heights with a noise of 5 % of the stand-off THEN a good sensor is not held.
+
+    Whether a range has changed was judged by the noise of the heights: the tool was held again and again,
+    up to 1.6 stand-offs too high.
+    """
+    quiet = replace(job, sigma_m=0.001 * job.standoff_m, v_max_mps=2.0 * 0.2 * speed_mps)
+    run = follow(
+        quiet,
+        lambda x, t: -0.2 * x,
+        200.0 * job.tau_s,
+        speed_mps,
+        seed=seed,
+        height_noise_m=0.05 * job.standoff_m,
+    )
+    print(f"RMS {run.rms_m(job) / job.standoff_m:.3f} stand-offs")
+    assert run.rms_m(job) < 0.05 * job.standoff_m
+    assert not any(s["health"] == "STUCK" for s in run.states)

@@ -29,7 +29,8 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
     lead_m = float(rng.choice([0.0, 0.0, 0.05]))
     params, adaptive = default_params(), zeros(AdaptiveState)[0]
     params["offset_m"] = STANDOFF_M
-    adaptive["plant"]["tau_s"], adaptive["noise"]["sigma_m"] = tau_s, SIGMA_M
+    adaptive["plant"]["tau_s"] = tau_s
+    adaptive["noise"]["sigma_m"], adaptive["noise"]["range_sigma_m"] = 3.0 * SIGMA_M, SIGMA_M  # poses, too
     adaptive["weights"]["scored"] = 500
     adaptive["prediction"]["interval_s"], adaptive["sample"]["lead_m"] = interval_s, lead_m
     reset_response(adaptive["response"])

@@ -10,9 +10,10 @@ import pytest
 
 from surffollow import Follower
 
-from .job_loop import BOOM, CELL, follow
+from .job_loop import BOOM, CELL, Job, follow
 
 MS = 1_000_000
+AUV = Job(5.0, 2.0, 1.0, 0.2, 0.5, 0.3, 0.01, (0.5, 40.0))
 FIELD = replace(
     BOOM, standoff_m=0.5, tau_s=0.15, reading_s=0.02, v_max_mps=0.8, a_max_mps2=4.0, sigma_m=0.005
 )
@@ -58,3 +59,22 @@ def test_readings_outside_the_window_are_named(standoff_m):
     assert named[90]["health"] == "OK"
     assert named[-1]["health"] == "OUT_OF_RANGE"
     assert "outside the window" in named[-1]["reason"]
+
+
+@pytest.mark.parametrize("job", [CELL, BOOM, AUV], ids=["cell", "boom", "auv"])
+def test_health_is_not_stuck_while_the_demand_leads_toward_the_surface(job):
+    """GIVEN a sensor that froze WHEN it reads right again THEN STUCK ends before the tool descends.
+
+    It was published for 100 ms more, times the reference time: for 15 s at a time constant of 2 s.
+    """
+    begin_s, end_s = 40.0 * job.tau_s, 60.0 * job.tau_s
+
+    def frozen(t, r, rng):
+        return 0.9 * job.standoff_m if begin_s < t < end_s else r
+
+    run = follow(job, lambda x, t: 0.0, 100.0 * job.tau_s, 0.1 * job.standoff_m, misread=frozen)
+    stuck = np.array([s["health"] == "STUCK" for s in run.states])
+    assert stuck.any()
+    assert not stuck[-1]
+    descends = np.diff(run.clearance_m) < -1e-6 * job.standoff_m
+    assert not (descends & stuck[1:]).any()

@@ -32,6 +32,14 @@ def test_halves_of_a_map_compose_to_the_whole_without_any_loss():
     np.testing.assert_allclose(joined.extent_m, whole.extent_m, atol=1e-12)
 
 
+def test_a_fine_map_and_one_with_more_relief_compose_to_heights_that_hold_both():
+    fine = HeightMap.from_heights(np.full((2, 2), 0.1), origin_m=(0, 0), grid_m=1.0, quantum_m=25.4e-6)
+    hilly = HeightMap.from_heights([[-20.0, 20.0]], origin_m=(2, 0), grid_m=1.0, quantum_m=2.54e-3)
+    whole = compose([fine, hilly])
+    np.testing.assert_allclose(whole.heights_m[0], [0.1, 0.1, -20.0, 20.0], atol=1.5 * whole.quantum_m)
+    assert whole.quantum_m < hilly.quantum_m
+
+
 def test_composing_weighs_by_counts_at_differing_resolution():
     fine = HeightMap.from_heights(
         np.full((4, 4), 1.0), origin_m=(0, 0), grid_m=0.5, counts=np.full((4, 4), 10), quantum_m=1e-4

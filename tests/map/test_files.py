@@ -41,6 +41,14 @@ def same(one, other):
             np.testing.assert_array_equal(one.header[name], other.header[name], err_msg=name)
 
 
+def test_the_heights_in_an_archive_are_those_of_the_map_to_the_last_bit(tmp_path):
+    m = HeightMap.over((0, 0, 1, 1), grids=100)
+    m.add(np.c_[np.random.default_rng(2).random((300, 2)), np.linspace(1500.0, 1500.7, 300)])
+    m.save(tmp_path / "m.npz")
+    with np.load(tmp_path / "m.npz") as archive:
+        np.testing.assert_array_equal(archive["heights_m"], m.heights_m)
+
+
 @pytest.mark.parametrize("suffix", [".txt", ".npz", ".anything", ""])
 def test_saving_and_loading_gives_the_same_map_and_the_same_future(tmp_path, suffix):
     m = sampled(gate_m=0.004)

@@ -166,13 +166,71 @@ def test_a_prior_is_replaced_by_the_first_sample():
     assert np.isnan(m.heights_m[0, 1])
 
 
-def test_heights_beyond_the_range_are_clipped_and_counted_not_wrapped():
-    m = one_grid()
-    m.add([[0.5, 0.5, 5.0], [0.5, 0.5, 5.0]])
-    assert m.clipped == 2
-    assert m.heights_m[0, 0] == pytest.approx(32767 * QUANTUM)
-    m.add([[0.5, 0.5, -np.inf]])
+def add_one(m, z_m):
+    """By the kernel for one point."""
+    update_map(m.header, m.pairs, 0.5, 0.5, z_m)
+
+
+def add_list(m, z_m):
+    """By the kernel for many points."""
+    m.add([[0.5, 0.5, z_m]])
+
+
+@pytest.mark.parametrize("add", [add_one, add_list])
+@pytest.mark.parametrize("rounding", ["unbiased", "paper"])
+@pytest.mark.parametrize("beyond_m", [5.0, -5.0, 1e300, 0.8324])
+def test_a_height_beyond_the_range_is_no_height_and_its_grid_becomes_unknown(add, rounding, beyond_m):
+    m = one_grid(rounding=rounding)
+    # GIVEN an unknown grid, WHEN such a height comes, THEN it stays unknown, and the sample is counted
+    add(m, beyond_m)
+    assert (m.clipped, m.samples, m.counts[0, 0]) == (1, 0, 0)
+    assert np.isnan(m.heights_m[0, 0])
+    # GIVEN a known grid, THEN its mean is not shown any more, and a viewer of its tile sees that
+    for _ in range(3):
+        add(m, 0.1)
+    seen = int(m.header["dirty"].sum())
+    add(m, beyond_m)
+    assert (m.clipped, m.samples, m.counts[0, 0]) == (2, 3, 0)
+    assert np.isnan(m.heights_m[0, 0])
+    assert np.isnan(m.height_at(0.5, 0.5))
+    assert int(m.header["dirty"].sum()) == seen + 1
+    # the next height within the range makes it known; nothing of the mean before is in it
+    add(m, 0.3)
+    assert (m.heights_m[0, 0], m.counts[0, 0]) == (pytest.approx(0.3, abs=QUANTUM), 1)
+    add(m, -np.inf)
     assert (m.invalid, m.clipped) == (1, 2)
+
+
+def test_every_known_height_of_ground_beyond_the_range_is_right():
+    x = np.linspace(0, 100, 20_001)
+    points = np.c_[x, 0 * x + 0.5, -3000 + 3 * np.sin(x / 5)]
+    m = HeightMap.over((0, 0, 100, 1))
+    m.add(points)
+    known = np.isfinite(m.heights_m)
+    centres = m.origin_m[0] + (np.arange(m.shape[1]) + 0.5) * m.grid_m
+    error = np.abs(m.heights_m + 3000 - 3 * np.sin(centres / 5))[known]
+    assert error.max() < 5e-3  # the ground's change across a grid
+    assert m.clipped + m.samples == len(points) - m.outside
+    assert m.clipped > 10_000
+
+
+def test_the_gate_protects_a_mean_from_a_single_height_beyond_the_range():
+    m = one_grid(gate_m=0.005)
+    add_quanta(m, np.full(200, 100.0))
+    m.add([[0.5, 0.5, 5.0]])
+    assert (m.gated, m.clipped) == (1, 0)
+    assert m.heights_m[0, 0] == pytest.approx(100 * QUANTUM)
+    m.add(np.tile([[0.5, 0.5, 5.0]], (40, 1)))
+    assert np.isnan(m.heights_m[0, 0])
+
+
+def test_a_map_that_is_laid_anew_has_clipped_nothing():
+    m = one_grid()
+    m.add([[0.5, 0.5, 5.0]])
+    m.refocus((0, 0, 1, 1))
+    assert m.clipped == 1
+    m.reset((0, 0, 1, 1))
+    assert m.clipped == 0
 
 
 def test_the_datum_is_the_first_sample_so_that_the_range_is_centred_on_the_ground():

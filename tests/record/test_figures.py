@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,10 @@ from surffollow.cli.plot import plot_command
 from surffollow.cli.replay import replay_command
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map import HeightMap
+from surffollow.map.formats.axis_labels import round_origin
+from surffollow.record import plot_recording
 from surffollow.record.drawn_series import MAX_ROWS, drawn_series
-from surffollow.record.figure import new_figure, outliers, save_figure, shade, spans
+from surffollow.record.figure import new_figure, outliers, save_figure, shade, spans, with_room
 from surffollow.record.latency_histogram import log_histogram
 from surffollow.record.plot_recording import forecast_errors, read_figure_data
 
@@ -98,6 +101,68 @@ def figure_of(folder: Path, rows: list[str]) -> str:
     words = [str(folder / "log.csv"), "--columns", str(folder / "columns.toml"), "--out", str(out)]
     CliRunner().invoke(plot_command, words, catch_exceptions=False)
     return words_of(out)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "origin"),
+    [
+        (0.0, 0.0, 0.0),
+        (-0.4, 0.7, 0.0),
+        (99.8, 100.0, 0.0),
+        (1499.98, 1500.16, 1500.0),
+        (512350.2, 512410.9, 512400.0),
+        (-3000.2, -2999.9, -3000.0),
+        (5812345.6789, 5812345.6789, 5812345.68),
+        (float("nan"), float("nan"), 0.0),
+    ],
+)
+def test_ticks_count_from_a_round_number_where_values_lie_far_from_zero(low, high, origin):
+    assert round_origin(low, high) == pytest.approx(origin)
+
+
+def test_a_log_at_the_coordinates_of_a_survey_has_short_ticks_and_full_origins_in_its_labels(
+    tmp_path: Path,
+) -> None:
+    rows = ["t,d,e,n,u"]
+    rows += [
+        f"{k / 10},{0.15 + 0.01 * np.sin(k / 9):.5f},{512345.6 + k / 100},{5812345.6},1500.15"
+        for k in range(200)
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    place = 'north = "n"\neast = "e"\nup = "u"\n'
+    (tmp_path / "columns.toml").write_text(COLUMNS.replace('north = "n"\n', place).replace("20 m", "1 m"))
+    out = tmp_path / "log.svg"
+    words = [str(tmp_path / "log.csv"), "--columns", str(tmp_path / "columns.toml"), "--out", str(out)]
+    CliRunner().invoke(plot_command, words, catch_exceptions=False)
+    labels = re.findall(r"<text[^>]*>([^<]+)</text>", words_of(out))
+    for label in ("height − 1500 m [mm]", "east − 512350 m [m]", "north − 5812350 m [m]"):
+        assert label in labels, labels
+    numbers = [text for text in labels if re.fullmatch(r"[+−-]?[0-9.]+(e[+−-]?[0-9]+)?", text)]
+    assert max(map(len, numbers)) <= 6, numbers
+    # the ground and the tool 150 mm above it take more than half of their panel
+    low, high = with_room(np.array([1499.99, 1500.01, 1500.15]) * 1e3)
+    assert 160.0 / (high - low) > 0.5
+
+
+def test_the_title_over_a_great_error_ends_on_the_page(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # GIVEN a recording with errors of metres, one of them beyond the axis
+    data = read_figure_data(recording)
+    data.rows["output"]["range_m"][:, 0] += 2.0 * np.sin(np.arange(len(data.rows)) / 30)
+    data.rows["output"]["range_m"][100, 0] += 100.0
+    drawn = []
+    monkeypatch.setattr(plot_recording, "read_figure_data", lambda *a: data)
+    monkeypatch.setattr(plot_recording.fg, "save_figure", lambda figure, path: drawn.append(figure))
+    # WHEN it is drawn
+    plot_recording.plot_recording(recording, tmp_path / "run.png")
+    drawn[0].canvas.draw()
+    # THEN every title ends before the border of the page
+    page = drawn[0].bbox
+    for ax in drawn[0].axes:
+        for title in (ax.title, ax._left_title):
+            assert title.get_window_extent().x1 <= page.x1, title.get_text()
+    assert "(1 sample beyond the axis" in "".join(ax._left_title.get_text() for ax in drawn[0].axes)
 
 
 def test_a_log_of_one_row_becomes_a_figure_without_numbers_that_are_none(tmp_path: Path) -> None:

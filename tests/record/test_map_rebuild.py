@@ -61,6 +61,18 @@ def same_maps(a: HeightMap, b: HeightMap) -> None:
     assert a.region_m == b.region_m
 
 
+def test_the_heights_have_the_resolution_that_the_service_chose_at_the_reset(
+    make_recording: Callable[..., Path],
+) -> None:
+    wide = (-0.01, -0.01, 0.08, 0.02)
+    path = with_commands(make_recording(cycles=CYCLES), {400: (RQ_MAP_RESET, (*wide, 1e-3))})
+    expected = HeightMap.over(wide, quantum_m=1e-3)
+    expected.add(targets()[targets()[:, 0] >= 400, 1:])
+    rebuilt = rebuild_map(path)
+    assert (rebuilt.quantum_m, rebuilt.datum_m) == (1e-3, expected.datum_m)
+    same_maps(rebuilt, expected)
+
+
 @pytest.mark.parametrize("finest", [(), (0.0,), (5e-4,)], ids=["old recording", "none", "chosen"])
 def test_resets_and_refocuses_happen_between_the_points_where_they_were_asked_for(
     make_recording: Callable[..., Path], finest: tuple[float, ...]

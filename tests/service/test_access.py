@@ -334,7 +334,7 @@ def test_requests_come_between_the_leases_of_a_client_that_renews_at_once() -> N
     ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY] = samples.ctypes.data, 1 << 14
     ctx[m.SLOTS_AT], ctx[m.MAP_STATUS], ctx[m.LEASE_NS] = slots.ctypes.data, status.ctypes.data, lease_ns
     ctx[m.CLAIM + slot] = 7
-    mem = make_map_memory(ctx, header, pairs, np.zeros(1), ml.DEFAULT_QUANTUM_M)
+    mem = make_map_memory(ctx, header, pairs, np.zeros(1))
     flag = (slot * lb.SLOT_BYTES + lb.SLOT_HEAD + lb.SlotHead.offset("access")) // 8
     slots[flag] = lb.ACCESS_REQUESTED
     map_pass(mem, 1)

@@ -80,6 +80,9 @@ def fit_mount(poses: NDArray[np.float64], range_m: NDArray[np.float64]) -> Mount
             "expected 1; a level tool has 0 0 0 1"
         )
     turns = matrices(poses[known, 3:])
+    # about their middle: far from the origin, slopes and height of the plate could not be separated
+    middle = t.mean(axis=0)
+    t = t - middle
 
     def expected(x: NDArray[np.float64]) -> NDArray[np.float64]:
         n = _plate(x[5], x[6])
@@ -116,7 +119,7 @@ def fit_mount(poses: NDArray[np.float64], range_m: NDArray[np.float64]) -> Mount
     return MountFit(
         (x, y, z, *_shortest_turn(beam_of(a, b))),
         tuple(tuple(row) for row in covariance[:5, :5].tolist()),
-        (float(n[0]), float(n[1]), float(n[2]), float(found.x[7])),
+        (float(n[0]), float(n[1]), float(n[2]), float(found.x[7] + n @ middle)),
         scatter_m,
     )
 

@@ -32,6 +32,23 @@ def _user(connection: socket.socket) -> int:
     return int(_CREDENTIALS.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[1])
 
 
+def _holder_text(name: str) -> str:
+    """Text on the holder of the address of a service's scan, with the remedy."""
+    holder = "a process that takes no connection"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+        connection.settimeout(ANSWER_S)  # a full backlog would hold it for ever
+        with contextlib.suppress(OSError):
+            connection.connect(_address(name))
+            if _user(connection) in (own_user(), 0):
+                return f"another scan of service '{name}' runs; end it first: surffollow scan abort {name}"
+            holder = f"user {_user(connection)}"
+    return (
+        f"{holder} holds the control socket of scans of service '{name}' (@surffollow.scan.{name}), so that "
+        f"no scan can be controlled. It is free when that process ends; root finds it with: "
+        f"ss -xap | grep -F @surffollow.scan.{name}"
+    )
+
+
 class ControlServer:
     """The run's end of the socket; `words` never waits.
 
@@ -42,7 +59,7 @@ class ControlServer:
     Raises
     ------
     BusyError
-        another scan of this service runs
+        another scan of this service runs, or another user's process holds its address
     """
 
     def __init__(self, name: str) -> None:
@@ -51,9 +68,7 @@ class ControlServer:
             self._socket.bind(_address(name))
         except OSError as e:
             self._socket.close()
-            raise BusyError(
-                f"another scan of service '{name}' runs; end it first: surffollow scan abort {name}"
-            ) from e
+            raise BusyError(_holder_text(name)) from e
         self._socket.listen(8)
         self._socket.setblocking(False)
         self._open: list[socket.socket] = []

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.facts import print_facts
 from surffollow.cli.map_live import install_command, reset_command, upload_command
 from surffollow.cli.option_types import LENGTH, InputFile, SignedArguments
@@ -79,7 +80,9 @@ def _facts(m: HeightMap) -> dict[str, Any]:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def info_command(file: str, as_json: bool) -> None:
     """Say what a map file holds."""
-    print_facts(_facts(_load(file)), as_json, digits=9)
+    m = _load(file)
+    print_facts(_facts(m), as_json, digits=9)
+    warn_of_clipped(m.header)
 
 
 @map_group.command("show")

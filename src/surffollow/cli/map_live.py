@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.option_types import LENGTH, SERVICE_NAME, Finite, InputFile, SignedArguments
 from surffollow.cli.progress import progress_bar
 
@@ -39,6 +40,7 @@ def upload_command(file: str, name: str, timeout_s: float) -> None:
     with attach(name, label="map upload") as client, progress_bar("writing") as progress:
         header, pairs = copy_live_map(client, timeout_s)
         export(Path(file), header, pairs, progress=progress)
+    warn_of_clipped(header)
 
 
 @click.command("install")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.csv_replay import TABLES, output_suffix, replay_csv_command
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
@@ -105,6 +106,7 @@ def _write_map(file: str, map_out: str) -> None:
 
     rebuilt = rebuild_map(file)
     export(map_out, rebuilt.header, rebuilt.pairs)
+    warn_of_clipped(rebuilt.header)
 
 
 def _play_live(file: str, name: str | None, as_json: bool) -> None:

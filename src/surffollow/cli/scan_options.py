@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.option_types import SERVICE_NAME, InputFile
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity
@@ -96,7 +97,9 @@ def ground_of(map_file: str | None, live: str | None) -> TerrainGrid:
         return live_grid(live)
     from surffollow.map import HeightMap
 
-    return TerrainGrid.from_map(HeightMap.load(str(map_file)))
+    m = HeightMap.load(str(map_file))
+    warn_of_clipped(m.header)
+    return TerrainGrid.from_map(m)
 
 
 def known_region(ground: TerrainGrid) -> tuple[float, ...]:

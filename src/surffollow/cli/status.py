@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from surffollow.cli.clipped_heights import clipped_note
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 STARTING = 3  # exit code
@@ -169,6 +170,7 @@ def render(s: dict[str, Any]) -> str:
     late, run, main = s["lateness"], s["execution"], s["main"]
     granted = [n for i, n in enumerate(GRANT_NAMES) if main.get("granted", 0) >> i & 1]
     pose = f"pid {main['pose_pid']}" if main.get("pose_slot", -1) >= 0 else "no client"
+    map_line = f"map      {map_text(s['name'], s['map'])}"
     lines = [
         f"service {s['name']}: {s['state']}, pid {s['pid']}, epoch {s['epoch']}",
         f"cycle    {format_ns(s['period_ns'])}, {s['cycles']} run, {s['overruns']} overruns",
@@ -177,7 +179,7 @@ def render(s: dict[str, Any]) -> str:
         f"demand   {'|'.join(s['demand_status']) or 'none'}, age {format_ns(s['age_ns'])}",
         f"poses    {s['poses']} taken, {s['poses_refused']} refused; sent by {pose}",
         f"clients  {main.get('clients', 0)}; requests {s['requests']}, refused {s['requests_refused']}",
-        f"map      {map_text(s['name'], s['map'])}",
+        map_line,
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
     if not s["alive"]:
@@ -193,6 +195,9 @@ def render(s: dict[str, Any]) -> str:
             f"ranges   {s['ranges']} taken, {s['ranges_refused']} refused, {s['ranges_skipped']} left out; "
             f"channel {', '.join(pushers) or 'pushed by no client'}",
         )
+    clipped = clipped_note(*(s["map"].get(n, 0) for n in ("clipped", "datum_m", "quantum_m")))
+    if clipped:
+        lines.insert(lines.index(map_line) + 1, f"         {clipped}")
     if "params" in s:
         lines.insert(5, f"standoff {1e3 * s['params']['offset_m']:.6g} mm")
     lines[5:5] = follower_lines(s["follower"])

@@ -170,9 +170,9 @@ class MapReading:
         Returns
         -------
         dict
-            `state` ("no_map": no MapReset was called), `nx`, `ny`, `grid_m`; `taken`: samples that changed a
-            grid since the map object was made; `outside`, `clipped`, `gated`: samples beside the map, beyond
-            its heights, refused as outliers
+            `state` ("no_map": no MapReset was called), `nx`, `ny`, `grid_m`, `datum_m`, `quantum_m`; `taken`:
+            samples averaged into a grid since the map object was made; `outside`, `gated`: beside the map,
+            refused as outliers; `clipped`: beyond its heights since the last MapReset
 
         Raises
         ------
@@ -184,14 +184,16 @@ class MapReading:
         def word(name: str) -> int:
             return int(m.words[ml.MapHeader.offset(name) // 8])
 
-        grid = ml.MapHeader.struct_of("grid_m", "grid_m")
-        (grid_m,) = grid.unpack_from(m.memory, ml.MapHeader.offset("grid_m"))
+        def metres(name: str) -> float:
+            number = ml.MapHeader.struct_of(name, name)
+            return float(number.unpack_from(m.memory, ml.MapHeader.offset(name))[0])
+
         state = word("state")
         return {
             "state": ml.STATE_NAMES[state] if 0 <= state < len(ml.STATE_NAMES) else "?",
             "nx": word("nx"),
             "ny": word("ny"),
-            "grid_m": grid_m,
+            **{name: metres(name) for name in ("grid_m", "datum_m", "quantum_m")},
             "taken": word("samples"),
             **{name: word(name) for name in ("outside", "clipped", "gated")},
         }

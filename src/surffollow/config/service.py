@@ -13,6 +13,7 @@ from surffollow.config.params import PARAMS, check_param, names_given
 from surffollow.config.stop_causes import stop_causes
 from surffollow.config.toml_file import naming_source, read_toml
 from surffollow.errors import ConfigError
+from surffollow.shm.map_layout import DEFAULT_QUANTUM_M
 from surffollow.units import parse_quantity
 
 _PAPER_MODE = PARAMS["mode"].choices.index("paper")
@@ -35,7 +36,7 @@ class MapConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     grids: int = 1_000_000
     finest_grid: str | float = "0.1 in"
-    quantum: str | float = "0.001 in"
+    quantum: str | float = "standoff"
     rounding: str = "mode"
     gate: str | float = 0.0
     queue_seconds: float = 60.0
@@ -177,7 +178,7 @@ def _check(c: ServiceConfig) -> None:
             f"configuration key map.rounding is {c.map.rounding!r}; use 'mode', 'unbiased' or 'paper'"
         )
     metres(c.map.finest_grid, "map.finest_grid", 1e-6, 1e4)
-    metres(c.map.quantum, "map.quantum", 1e-9, 10.0)
+    map_quantum_m(c)
     metres(c.map.gate, "map.gate", 0.0, 1e4)
     seconds(c.map.access_lease, "map.access_lease", 0.01, 3600.0)
     if not 1.0 <= c.map.queue_seconds <= 600.0:
@@ -235,11 +236,30 @@ def follow_params(c: ServiceConfig) -> dict[str, float]:
     return {full: check_param(name, c.follow[name]) for full, name in given.items()}
 
 
+def _is_paper(c: ServiceConfig) -> bool:
+    """Whether the follower begins in paper mode."""
+    return follow_params(c).get("mode") == _PAPER_MODE
+
+
 def map_rounding(c: ServiceConfig) -> str:
     """The map's rounding: as configured, or by default that of the follower's mode at the start."""
     if c.map.rounding != "mode":
         return c.map.rounding
-    return "paper" if follow_params(c).get("mode") == _PAPER_MODE else "unbiased"
+    return "paper" if _is_paper(c) else "unbiased"
+
+
+def map_quantum_m(c: ServiceConfig) -> float:
+    """Height of one count of the map [m]; 0.0: it follows from the stand-off at each MapReset.
+
+    With the follower in paper mode it is the paper's thousandth of an inch, unless it is configured.
+
+    Raises
+    ------
+    ConfigError  neither a length that a map can have nor "standoff"
+    """
+    if c.map.quantum != "standoff":
+        return metres(c.map.quantum, "map.quantum", 1e-9, 10.0)
+    return DEFAULT_QUANTUM_M if _is_paper(c) else 0.0
 
 
 def load_config(path: str | Path) -> ServiceConfig:

@@ -879,9 +879,9 @@ typedef struct sf_map_header {
   SF_ALIGNAS(64) uint64_t dither_seed; /* where the rounding sequence starts */
   int64_t dither_count; /* numbers of the sequence used so far */
   int64_t dither_offset; /* rotation of the running block of the sequence, 32 bits */
-  int64_t samples; /* samples that changed a grid */
+  int64_t samples; /* samples averaged into a grid */
   int64_t outside; /* samples beside the map */
-  int64_t clipped; /* samples beyond the height range, stored at its end */
+  int64_t clipped; /* samples beyond the range of heights since the last MapReset; their grids are unknown */
   int64_t gated; /* samples refused as outliers */
   int64_t invalid; /* samples that were not finite */
   SF_ALIGNAS(64) int64_t journal_op; /* state to finish after a cut-off, 0: none; stored last */

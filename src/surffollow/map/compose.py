@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import UsageError
 from surffollow.map import access
+from surffollow.map.arguments import rounded_up
 from surffollow.map.formats.atomic_file import Progress, report
 from surffollow.map.height_map import HeightMap
 from surffollow.map.kernels.geometry import fit_grids
@@ -112,8 +113,7 @@ def compose(
     Raises
     ------
     UsageError
-        no maps, heights too far apart for the finest quantum, maps too far apart for the finest grid, or
-        more memory than is free
+        no maps, maps too far apart for the finest grid, or more memory than is free
     """
     if not maps:
         raise UsageError("compose needs at least one map")
@@ -143,7 +143,11 @@ def compose(
             total[0] > 0, np.clip(np.floor(total[0] + 0.5), 1, ml.FULL_COUNT), 0
         ).astype(np.uint8)
         report(progress, last / ny)
-    quantum = min(m.quantum_m for m in maps)
+    known = heights[np.isfinite(heights)]
+    span = float(np.ptp(known)) if known.size else 0.0
+    quantum, needed = min(m.quantum_m for m in maps), span / (2 * ml.MAX_HEIGHT - 2)
+    if quantum < needed:
+        quantum = rounded_up(needed)  # the finest one cannot hold the heights of all maps
     datum = maps[0].datum_m if _fits(heights, maps[0].datum_m, quantum) else None
     return HeightMap.from_heights(
         heights, origin_m=(x0, y0), grid_m=grid, counts=counts, quantum_m=quantum, datum_m=datum

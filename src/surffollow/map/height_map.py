@@ -172,7 +172,8 @@ class HeightMap(MapView):
         Returns
         -------
         int
-            points that changed a grid; see `samples`, `outside`, `clipped`, `gated`, `invalid`
+            points averaged into a grid; see `samples`, `outside`, `clipped`, `gated`, `invalid`. A height
+            beyond the range of `quantum_m` makes its grid unknown (`clipped`)
 
         Raises
         ------

@@ -112,7 +112,7 @@ class MapView:
 
     @property
     def samples(self) -> int:
-        """Points that changed a grid."""
+        """Points averaged into a grid."""
         return int(self.header[0]["samples"])
 
     @property
@@ -122,7 +122,7 @@ class MapView:
 
     @property
     def clipped(self) -> int:
-        """Points beyond the height range, stored at its end."""
+        """Points beyond the range of heights since the last reset; their grids became unknown."""
         return int(self.header[0]["clipped"])
 
     @property

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import FaultError, UsageError, install_command
 from surffollow.map.formats.atomic_file import replacing
+from surffollow.map.formats.axis_labels import label_axis, label_plan
 
 SUFFIXES = (".png", ".svg", ".pdf")
 INK, BLUE, ORANGE, GREEN, RED, SAND, GREY = (
@@ -168,13 +169,26 @@ def robust_limits(values: NDArray[np.float64], part: float = 99.5) -> tuple[floa
     return float(low - pad), float(high + pad)
 
 
-def with_room(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Limits of all values with room for a legend above."""
+def ends(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Least and greatest finite value; 0 and 0 without one."""
     finite = values[np.isfinite(values)]
-    if not finite.size:
+    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+
+
+def with_room(values: NDArray[np.float64], least: float = 0.0) -> tuple[float, float]:
+    """Limits of all values with room for a legend above.
+
+    Parameters
+    ----------
+    values : float64  in units of the axis; not finite: none
+    least : float     spread that is shown at least, as a part of the greatest value
+    """
+    if not np.isfinite(values).any():
         return 0.0, 1.0
-    low, high = float(finite.min()), float(finite.max())
-    span = max(high - low, 0.02 * abs(high), 1e-6)  # of equal values, ticks with few digits
+    low, high = ends(values)
+    if high - low <= 1e-9 * max(abs(low), abs(high)):
+        least = 0.02  # of equal values: ticks with few digits
+    span = max(high - low, least * abs(high), 1e-6)
     return low - 0.05 * span, high + 0.38 * span
 
 
@@ -211,9 +225,8 @@ def draw_map(figure: Any, ax: Any, heights_m: NDArray[np.float64], frame: tuple[
     ax.imshow(shaded_relief(heights_m, grid), cmap="gray", alpha=0.3, vmin=0, vmax=1, **common)
     aspect, remark = aspect_of(ny, nx)
     wide = aspect == "equal" and nx > 2 * ny
-    figure.colorbar(
-        image, ax=ax, label=f"height [{unit}]", shrink=0.9, location="bottom" if wide else "right", aspect=25
-    )
-    ax.set(xlabel="x [m]", ylabel="y [m]", aspect=aspect)
-    ax.ticklabel_format(useOffset=False)
+    bar = figure.colorbar(image, ax=ax, shrink=0.9, location="bottom" if wide else "right", aspect=25)
+    label_axis(bar.ax.xaxis if wide else bar.ax.yaxis, "height", ends(heights_m), factor, unit)
+    ax.set_aspect(aspect)
+    label_plan(ax, common["extent"])
     return remark

@@ -124,13 +124,15 @@ class Remapper:
 
     def command(self, code: int, t_ns: int, values: Sequence[float]) -> None:
         """Carry out a map command of the log."""
-        x0, y0, x1, y1, finest_m = (float(v) for v in (*values, 0.0)[:5])
+        x0, y0, x1, y1, size_m = (float(v) for v in (*values, 0.0)[:5])
         if code == RQ_MAP_RESET:
-            self.map, self.waiting, self.installed_ns = HeightMap.over((x0, y0, x1, y1)), [], 0
+            quantum_m = size_m if size_m > 0.0 else ml.DEFAULT_QUANTUM_M  # of the service; 0: not recorded
+            self.map = HeightMap.over((x0, y0, x1, y1), quantum_m=quantum_m)
+            self.waiting, self.installed_ns = [], 0
         elif code == RQ_MAP_INSTALL:
             self.installed_ns = t_ns
         elif code == RQ_MAP_REFOCUS and self.map is not None:
-            self.map.refocus((x0, y0, x1, y1), finest_m=finest_m)
+            self.map.refocus((x0, y0, x1, y1), finest_m=size_m)
 
     def finish(self) -> HeightMap:
         """The map at the end; without a MapReset one over all points.

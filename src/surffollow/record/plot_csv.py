@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.map.formats.axis_labels import label_axis, label_plan
 from surffollow.record import figure as fg
 from surffollow.record.columns import Columns
 from surffollow.record.csv_replay import CsvReplay
@@ -94,9 +95,10 @@ def _draw_ground(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Co
         draw_series(ax, drawn_series(t, reference * factor), fg.GREEN, label)
     draw_series(ax, drawn_series(t, vehicle * factor), fg.BLUE, "vehicle", lw=1.0)
     fg.mark_outliers(ax, t, ground * factor, odd)
-    ax.set_ylim(*fg.with_room(np.concatenate([ground, vehicle]) * factor))
+    shown = np.concatenate([ground, vehicle])
+    ax.set_ylim(*fg.with_room(shown * factor))
     ax.set_title("Ground and vehicle" + reduction(t))
-    ax.set(ylabel=f"height [{unit}]")
+    label_axis(ax.yaxis, "height", fg.ends(shown), factor, unit)
     ax.legend(loc="upper right", ncols=3, markerscale=2)
 
 
@@ -107,7 +109,7 @@ def _draw_readings(ax: Any, t: NDArray[np.float64], replay: CsvReplay) -> None:
     fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
     draw_series(ax, drawn_series(t, readings * factor), fg.BLUE, "reading", lw=0.6, style=".-")
     fg.mark_outliers(ax, t, readings * factor, odd)
-    ax.set_ylim(*fg.with_room(readings * factor))
+    ax.set_ylim(*fg.with_room(readings * factor, least=0.02))
     ax.set_title(("Distance" if not replay.depth else "Depth") + reduction(t))
     ax.set(ylabel=f"{'distance' if not replay.depth else 'depth'} [{unit}]")
     ax.legend(loc="upper right", ncols=3, markerscale=2)
@@ -184,9 +186,8 @@ def _draw_path(figure: Any, ax: Any, replay: CsvReplay, columns: Columns) -> Non
     factor, unit = fg.length_scale(points[:, 2])
     points = points[:: -(-len(points) // _MAX_POINTS)]
     image = ax.scatter(points[:, 0], points[:, 1], c=points[:, 2] * factor, s=4, cmap="viridis", lw=0)
-    figure.colorbar(image, ax=ax, label=f"height [{unit}]", shrink=0.9, aspect=25)
+    bar = figure.colorbar(image, ax=ax, shrink=0.9, aspect=25)
+    label_axis(bar.ax.yaxis, "height", fg.ends(points[:, 2]), factor, unit)
     ax.set_title("Target points from above")
-    ax.set(xlabel="east [m]", ylabel="north [m]")
     ax.set_aspect("equal", adjustable="datalim")
-    ax.ticklabel_format(useOffset=False, style="plain")  # as a survey's coordinates are written
-    ax.locator_params(axis="x", nbins=5)
+    label_plan(ax, (*fg.ends(points[:, 0]), *fg.ends(points[:, 1])), ("east", "north"))

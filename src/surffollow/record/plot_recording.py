@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.map.formats.axis_labels import label_axis
 from surffollow.record import figure as fg
 from surffollow.record.figure_data import FigureData, last_service, read_figure_data
 from surffollow.record.latency_histogram import draw_latency
@@ -98,15 +99,16 @@ def _draw_ground(ax: Any, data: FigureData) -> None:
     ax.plot(t, _breaks(goal, data) * factor, color=fg.ORANGE, lw=0.8, label="setpoint: pose and demand")
     ax.plot(t, _breaks(tool, data) * factor, color=fg.BLUE, lw=1.0, label="tool, as reported")
     fg.mark_outliers(ax, t, ground * factor, odd)
-    shown = np.concatenate([ground[~odd], tool, height]) * factor
+    shown = np.concatenate([ground[~odd], tool, height, goal]) * factor
     ax.set_ylim(*fg.with_room(shown))
-    ax.set(ylabel=f"height [{unit}]")
+    label_axis(ax.yaxis, "height", fg.ends(shown / factor), factor, unit)
     ax.set_title("Ground and tool")
     ax.legend(loc="upper right", ncols=3)
 
 
 def _draw_error(ax: Any, data: FigureData) -> None:
-    error = data.error_m * 1e3
+    factor, unit = fg.length_scale(np.array(fg.robust_limits(data.error_m)))
+    error, digits = data.error_m * factor, 2 if unit == "mm" else 3
     fg.shade(ax, _gaps(data), fg.SAND, "no distance")
     invalid = (data.rows["output"]["status"] & VALID) == 0
     fg.shade(ax, fg.spans(data.t_s, invalid), "#f6d5cf", "demand not valid")
@@ -117,11 +119,11 @@ def _draw_error(ax: Any, data: FigureData) -> None:
     ax.set_ylim(-reach, reach)
     outside = int(np.sum(np.abs(error) > reach))
     finite = np.abs(error[np.isfinite(error)])
-    text = f"Stand-off error: RMS {fg.rms(error):.2f} mm"
+    text = f"Stand-off error [{unit}]: RMS {fg.rms(error):.{digits}f}"
     if finite.size:
-        text += f", 99 % within {np.percentile(finite, 99):.2f} mm, greatest {finite.max():.2f} mm"
-    ax.set_title(text + (f" ({outside} samples beyond the axis)" if outside else ""))
-    ax.set(ylabel="actual − desired [mm]")
+        text += f", 99 % within {np.percentile(finite, 99):.{digits}f}, greatest {finite.max():.{digits}f}"
+    ax.set_title(text + (f" ({outside} sample{'s' * (outside != 1)} beyond the axis)" if outside else ""))
+    ax.set(ylabel=f"actual − desired [{unit}]")
     if ax.get_legend_handles_labels()[1]:
         ax.legend(loc="upper right", ncols=2)
 

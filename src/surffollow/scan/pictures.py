@@ -9,6 +9,7 @@ import numpy as np
 
 from surffollow.errors import ScanFileError, install_command
 from surffollow.map.formats.atomic_file import replacing
+from surffollow.map.formats.axis_labels import label_axis, label_plan
 from surffollow.map.formats.picture import shaded_relief
 from surffollow.scan.grid import FILLED, TerrainGrid
 from surffollow.scan.path import UNKNOWN_BENEATH, WRIST_LIMIT, ScanPath
@@ -36,10 +37,11 @@ def draw_relief(axes: Any, ground: TerrainGrid, figure: Any) -> None:
     common: dict[str, Any] = {"origin": "lower", "extent": (x0, x1, y0, y1), "interpolation": "nearest"}
     image = axes.imshow(1e3 * z, cmap="terrain", **common)
     axes.imshow(shaded_relief(z, ground.grid_m * step), cmap="gray", alpha=0.45, vmin=0.0, vmax=1.0, **common)
-    figure.colorbar(image, ax=axes, label="height [mm]", shrink=0.8)
+    bar = figure.colorbar(image, ax=axes, shrink=0.8)
+    known = z[np.isfinite(z)] if np.isfinite(z).any() else np.zeros(1)
+    label_axis(bar.ax.yaxis, "height", (float(known.min()), float(known.max())), 1e3, "mm")
     axes.set_facecolor("0.5")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    label_plan(axes, common["extent"])
 
 
 def check_picture(path: str | os.PathLike[str]) -> None:
@@ -63,7 +65,7 @@ def draw_map(path: str | os.PathLike[str], ground: TerrainGrid) -> None:
     bar = figure.colorbar(shown, ax=right, ticks=[0, 1, 2], shrink=0.8)
     bar.ax.set_yticklabels(["unknown", "measured", "filled"])
     right.set_title("cells")
-    right.set_xlabel("x [m]")
+    label_plan(right, (x0, x1, y0, y1))
     save_figure(figure, path)
 
 

@@ -136,7 +136,7 @@ def compile_share() -> None:
     take_inputs.part(types_of(cycle, 0))
     give_outputs.part(types_of(cycle, 0, 0))
     nothing = zeros(ml.MapHeader), zeros(ml.GridPair), np.zeros(1)
-    run_map.compile(types_of(make_map_memory(cycle.ctx, *nothing, ml.DEFAULT_QUANTUM_M)))
+    run_map.compile(types_of(make_map_memory(cycle.ctx, *nothing)))
 
 
 def main(parent: int, with_sensors: bool = False) -> None:

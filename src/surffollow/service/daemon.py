@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from surffollow.config.service import ServiceConfig, metres, seconds
+from surffollow.config.service import ServiceConfig, seconds
 from surffollow.errors import ServiceError
 from surffollow.forecast.step import sf_reset
 from surffollow.hw.driver import ConversionQueue, Driver, reports_of
@@ -82,7 +82,6 @@ class Daemon:
                 self.objects.map_header,
                 self.objects.pairs,
                 self.objects.scratch,
-                metres(config.map.quantum, "map.quantum", 1e-9, 10.0),
             )
             initialise_constants(self.mem.params, config, self.driver.info)
             initialise_log(config, self.objects)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surffollow.config.limits import CHANGED_BY, check_within_limits, client_limits, range_user
 from surffollow.config.params import PARAMS
-from surffollow.config.service import ServiceConfig, follow_params, seconds
+from surffollow.config.service import ServiceConfig, follow_params, map_quantum_m, seconds
 from surffollow.config.stop_causes import STOP_NAMES, stop_causes
 from surffollow.config.trusted_users import own_user
 from surffollow.config.window_fit import FITTED, check_fit, default_too_close
@@ -90,6 +90,7 @@ def initialise_memory(
     snapshot = seconds(config.snapshot, "snapshot", 0.01, 3600.0)
     ctx[m.SNAPSHOT_CYCLES] = max(1, round(snapshot * 1e9 / period))
     ctx[m.LEASE_NS] = round(seconds(config.map.access_lease, "map.access_lease", 0.01, 3600.0) * 1e9)
+    ctx.view(np.float64)[m.QUANTUM] = map_quantum_m(config)
     ctx[m.EPOCH] = objects.epoch
     ctx[m.PARAMS_BY] = CHANGED_BY.index(config.access.parameters)
     ctx[m.MAP_BY] = CHANGED_BY.index(config.access.map)

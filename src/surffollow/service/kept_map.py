@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.config.service import ServiceConfig, map_rounding, metres, mode
+from surffollow.config.service import ServiceConfig, map_quantum_m, map_rounding, metres, mode
 from surffollow.config.trusted_users import own_user
 from surffollow.errors import (
     BlockError,
@@ -38,7 +38,7 @@ def _make_map(config: ServiceConfig, group: int) -> SharedObject:
             header,
             capacity_grids=grids,
             finest_grid_m=metres(config.map.finest_grid, "map.finest_grid", 1e-6, 1e4),
-            quantum_m=metres(config.map.quantum, "map.quantum", 1e-9, 10.0),
+            quantum_m=map_quantum_m(config) or ml.DEFAULT_QUANTUM_M,  # until a MapReset
             rounding=map_rounding(config),
             gate_m=metres(config.map.gate, "map.gate", 0.0, 1e4),
         )

@@ -105,16 +105,16 @@ def begin_job(mem: Any) -> None:
     job[JOB_CLAIM] = at.load_relaxed_i64(base + 32)
     x0, y0 = at.load_relaxed_f64(base), at.load_relaxed_f64(base + 8)
     x1, y1 = at.load_relaxed_f64(base + 16), at.load_relaxed_f64(base + 24)
-    finest_m = at.load_relaxed_f64(base + 8 * m.INSTALL_WORD)  # of a refocus
+    size_m = at.load_relaxed_f64(base + 8 * m.INSTALL_WORD)
     if not may_change(ctx, slot, job[JOB_CLAIM], ctx[m.MAP_BY]):  # another one may drive by now
         finish_job(mem, ERR_NOT_POSE_HOLDER)
         return
     if code == RQ_MAP_RESET:
-        result = reset_begin(mem.header, x0, y0, x1, y1, mem.quantum_m)
+        result = reset_begin(mem.header, x0, y0, x1, y1, size_m)
     elif code == RQ_MAP_INSTALL:
         result = begin_install(mem)
     else:
-        result = refocus_begin(mem.header, mem.pairs, mem.scratch, x0, y0, x1, y1, finest_m)
+        result = refocus_begin(mem.header, mem.pairs, mem.scratch, x0, y0, x1, y1, size_m)
     answer = refusal(result)
     if answer != OK:
         finish_job(mem, answer)

@@ -33,7 +33,6 @@ class MapMemory(NamedTuple):
     piece: Any  # copy of a piece of an installed map, as int64 words
     piece_heights: Any
     piece_counts: Any
-    quantum_m: float  # of the configuration: every MapReset goes back to it
 
 
 # indices in `job`
@@ -52,14 +51,13 @@ class MapMemory(NamedTuple):
 JOB_WORDS = 16
 
 
-def make_map_memory(ctx: Any, header: Any, pairs: Any, scratch: Any, quantum_m: float) -> MapMemory:
+def make_map_memory(ctx: Any, header: Any, pairs: Any, scratch: Any) -> MapMemory:
     """Everything idle.
 
     Parameters
     ----------
     ctx : (…,) int64       context of the service, see `memory`
     header, pairs, scratch : parts of the map object
-    quantum_m : float [m]  of the configuration
     """
     item, status = np.zeros(m.SAMPLE_WORDS, np.int64), zeros(MapStatus)
     status[0]["access_slot"] = -1
@@ -78,5 +76,4 @@ def make_map_memory(ctx: Any, header: Any, pairs: Any, scratch: Any, quantum_m: 
         piece,
         piece.view(np.int16)[heights : heights + PIECE_GRIDS],
         piece.view(np.uint8)[counts : counts + PIECE_GRIDS],
-        quantum_m,
     )

@@ -48,7 +48,8 @@ from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, 
     REPORTS,  # a simulated sensor's queue of accepted poses; 0: the driver takes none
     REPORTS_CAPACITY,
     MAP_PASSES,  # map → main: looks around that have begun
-) = range(27)
+    QUANTUM,  # height of one count after a MapReset [m], a float64; 0: it follows from the stand-off
+) = range(28)
 # main → threads: per slot, the claim of the client that holds it; 0: none, its memory is not read
 CLAIM = 32
 PID = CLAIM + CLIENTS  # per slot, that client's process and user, from the kernel
@@ -58,7 +59,8 @@ COUNTER = SEEN + CLIENTS  # per slot, counter answered last
 PENDING = COUNTER + CLIENTS  # per slot, 1: a map request is under way
 REGION = PENDING + CLIENTS  # per slot, four float64 of that request, its claim, an installed map's numbers
 REGION_WORDS = 16
-# grid (of a refocus: the finest), x0, y0, datum, quantum [m] as float64; columns, rows, datum is set
+# grid (of a refocus: the finest; of a reset: height of one count), x0, y0, datum, quantum [m] as float64;
+# columns, rows, datum is set
 INSTALL_WORD = 5
 FENCED = REGION + CLIENTS * REGION_WORDS  # per slot, the claim whose request for access is ignored; 0: none
 POLICY = FENCED + CLIENTS

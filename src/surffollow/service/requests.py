@@ -21,6 +21,7 @@ from surffollow.service.slot_inputs import claim_of, new_request
 from surffollow.service.stop_latch import apply_stop_word, do_stop, holder_pid, stop_as_asked
 from surffollow.shm import atomics as at
 from surffollow.shm import journal
+from surffollow.shm import map_layout as ml
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import (
@@ -53,6 +54,7 @@ from surffollow.shm.ring import ring_push
 _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
+_QUANTUM_PER_STANDOFF = ml.QUANTUM_PER_STANDOFF
 _MAX_SIDE_M = 1e6
 
 
@@ -112,6 +114,13 @@ def region_ok(request: Any) -> Any:
 
 
 @jit
+def quantum_of(mem: Any) -> Any:
+    """Height of one count for a MapReset now [m]: configured, or in proportion to the stand-off in force."""
+    given_m = at.load_relaxed_f64(mem.ctx.ctypes.data + 8 * m.QUANTUM)
+    return given_m if given_m > 0.0 else _QUANTUM_PER_STANDOFF * mem.params[0].offset_m
+
+
+@jit
 def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     """Queue a map request behind the samples taken so far; (result, detail).
 
@@ -128,6 +137,8 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
         return ERR_BAD_REGION, 0
     if at.load_acquire_i64(base + 8 * (m.PENDING + slot)) != 0:
         return ERR_MAP_BUSY, 0
+    if code == RQ_MAP_RESET:
+        request.value[4] = quantum_of(mem)
     side = m.REGION + slot * m.REGION_WORDS
     for k in range(4):
         at.store_relaxed_f64(base + 8 * (side + k), request.value[k])
@@ -141,7 +152,7 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     if ring_push(ctx[m.SAMPLES], ctx[m.SAMPLES_CAPACITY], m.SAMPLE_WORDS, mem.item.ctypes.data) == 0:
         at.store_release_i64(base + 8 * (m.PENDING + slot), 0)
         return ERR_QUEUE_FULL, 0
-    # the fifth: the finest grid of a refocus
+    # the fifth: the finest grid of a refocus, the height of one count after a reset
     mem.entry[0], mem.entry[1], mem.entry[2] = journal.entry_head(journal.MAP, 8), t_ns, code
     for k in range(5):
         mem.entry_floats[3 + k] = request.value[k]

@@ -12,7 +12,8 @@ CYCLE    t_ns, cycle, status, demand (6 float64); 8 per pose (t_ns, 7 float64);
 SNAPSHOT t_ns, `Params`, `FollowState`: the state before the next cycle
 PARAMS   t_ns, `Params` in force from the next cycle on
 RESET    t_ns, offset_m: SFReset before the next cycle
-MAP      t_ns, request code, 4 float64 of its region: a map command between samples
+MAP      t_ns, request code, 4 float64 of its region, 1 of the finest grid (MapRefocus) or of
+         the height of one count (MapReset): a map command between samples
 STOP     t_ns, bits: causes added to the latched stop before the next cycle; 0: it was reset
 ======== ==========================================================================
 """

@@ -23,6 +23,8 @@ class Noise(Schema):
         doc="standard deviation of a reading, by the running median of second differences",
     )
     recent_m = F64(2, unit="m", doc="the two accepted heights before the newest one")
+    range_sigma_m = F64(unit="m", doc="standard deviation of a range, likewise; without the noise of poses")
+    recent_range_m = F64(2, unit="m", doc="the two accepted ranges before the newest one")
 
 
 class Pending(Schema):

@@ -22,6 +22,7 @@ FULL_COUNT = 255
 MAX_REGION_M = 1e6
 MIN_GRID_M, MAX_GRID_M = 1e-6, 1e4  # that a configuration or a refocus may ask for
 DEFAULT_QUANTUM_M = 25.4e-6
+QUANTUM_PER_STANDOFF = DEFAULT_QUANTUM_M / 0.1  # a service's own choice: the default where it is 0.1 m
 DEFAULT_FINEST_GRID_M = 2.54e-3
 
 # MapHeader.state
@@ -86,9 +87,9 @@ class MapHeader(Schema):
     dither_seed = U64(align=64, doc="where the rounding sequence starts")
     dither_count = I64(doc="numbers of the sequence used so far")
     dither_offset = I64(doc="rotation of the running block of the sequence, 32 bits")
-    samples = I64(doc="samples that changed a grid")
+    samples = I64(doc="samples averaged into a grid")
     outside = I64(doc="samples beside the map")
-    clipped = I64(doc="samples beyond the height range, stored at its end")
+    clipped = I64(doc="samples beyond the range of heights since the last MapReset; their grids are unknown")
     gated = I64(doc="samples refused as outliers")
     invalid = I64(doc="samples that were not finite")
 

@@ -76,7 +76,7 @@ def observe_beams(params, adaptive, sense, pose):
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
     pose : (7,) float64  scratch
     """
-    beams = adaptive.beams
+    beams, least_m = adaptive.beams, min(adaptive.noise.sigma_m, adaptive.noise.range_sigma_m)
     measure_round(params, adaptive)
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
@@ -85,7 +85,7 @@ def observe_beams(params, adaptive, sense, pose):
         predict_pose(adaptive.kinematics, sense, t_ns, pose)
         x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, c, range_m)
         beams.footprint_m[3 * c], beams.footprint_m[3 * c + 1], beams.footprint_m[3 * c + 2] = x, y, z
-        changed = abs(range_m - beams.repeat_range_m[c]) > REPEAT_BAND * adaptive.noise.sigma_m
+        changed = abs(range_m - beams.repeat_range_m[c]) > REPEAT_BAND * least_m
         if changed or beams.t_ns[c] == 0 or t_ns < beams.repeat_ns[c]:
             beams.repeat_range_m[c], beams.repeat_ns[c] = range_m, t_ns
         observe_range(params, adaptive, c, t_ns, range_m, sensor_z)

@@ -170,6 +170,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
     steepest = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)
+    rose = gate.nearer != 0
     decision = innovation_gate.judge_sample(params, adaptive, innovation, travel, steepest, gap, adapt)
     if decision < ACCEPTED:
         return False
@@ -178,6 +179,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         restart_estimate(params, adaptive, t_ns, first_m, standoff_m, adapt)
         return True
     if decision == STEP:
+        if rose and innovation > 0.0 and estimate.slope < 0.0:  # the models fall on where the ground rises
+            model_bank.begin_path(bank, 0.0)
         confirm_step(params, adaptive, way / travel)
         innovation = h_m - estimate.height_m
     if adapt:

@@ -1,4 +1,4 @@
-"""Noise of the readings from second differences of accepted heights."""
+"""Noise of the heights and of the ranges, from second differences of accepted samples."""
 
 import math
 
@@ -17,21 +17,34 @@ def assumed_noise_m(noise):
 
 
 @jit
+def range_noise_m(noise):
+    """Standard deviation of a range [m]. That of the heights contains the noise of the poses, too."""
+    return max(min(noise.sigma_m, noise.range_sigma_m), MIN_NOISE_M)
+
+
+@jit
+def _follow(sigma_m, newest_m, recent_m, scored):
+    """Standard deviation by the running median of second differences, which contain no slope [m]."""
+    e = MAD_TO_SIGMA * abs(newest_m - 2.0 * recent_m[0] + recent_m[1])
+    step = min(2.0 / max(scored, 1), QUICK_RATE) * max(sigma_m, 0.1 * MIN_NOISE_M)
+    return max(sigma_m + (step if e > sigma_m else -step), 0.0)
+
+
+@jit
 def update_noise(adaptive, h_m):
-    """Update the noise: running median of second differences, which contain no slope."""
-    noise = adaptive.noise
+    """Update the noise of the heights and of the ranges with an accepted sample of height `h_m`."""
+    noise, range_m, scored = adaptive.noise, adaptive.hold.range_m, adaptive.weights.scored
     if adaptive.estimate.samples > 2:
-        e = MAD_TO_SIGMA * abs(h_m - 2.0 * noise.recent_m[0] + noise.recent_m[1])
-        rate = min(2.0 / max(adaptive.weights.scored, 1), QUICK_RATE)
-        step = rate * max(noise.sigma_m, 0.1 * MIN_NOISE_M)
-        noise.sigma_m = max(noise.sigma_m + (step if e > noise.sigma_m else -step), 0.0)
+        noise.sigma_m = _follow(noise.sigma_m, h_m, noise.recent_m, scored)
+        noise.range_sigma_m = _follow(noise.range_sigma_m, range_m, noise.recent_range_m, scored)
     noise.recent_m[0], noise.recent_m[1] = h_m, noise.recent_m[0]
+    noise.recent_range_m[0], noise.recent_range_m[1] = range_m, noise.recent_range_m[0]
 
 
 @jit
 def initialise_noise(noise):
     """Assume the noise of a start without knowledge."""
-    noise.sigma_m = INITIAL_NOISE_M
+    noise.sigma_m = noise.range_sigma_m = INITIAL_NOISE_M
 
 
 @jit

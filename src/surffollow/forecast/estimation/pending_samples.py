@@ -18,16 +18,19 @@ STOOD_NS = 120_000_000  # a hollow that lasts so long is no slot, where the tool
 
 @jit
 def _agrees(params, adaptive, innovation_m, travel_m, gate_m):
-    """Whether an outlier is as high as the pending one before; on a flank it may go on in its direction."""
+    """Whether an outlier is as high as the pending one before, but for a slope of 1 between the two.
+
+    Nearer ground may rise by up to `MAX_SLOPE`. Ground that rises, or moves below a tool at rest, may move as
+    fast as the axis can.
+    """
     pending = adaptive.pending
     height_m = adaptive.estimate.height_m + innovation_m
     further_m = height_m - pending.kept_height_m[(pending.samples - 1) & (PENDING_HEIGHTS - 1)]
     tolerance = max(INNER_GATE * gate_m, params.gate_m, 1.5 * count_m(adaptive.hold))
-    if further_m * innovation_m > 0.0:
-        tolerance += travel_m
-        if innovation_m > 0.0:  # ground that rises as quickly as the axis can, too
-            axis_m = params.plant_v_max_mps * adaptive.prediction.interval_s
-            tolerance = max(tolerance, MAX_SLOPE * travel_m, axis_m)
+    tolerance += travel_m
+    if further_m > 0.0 or adaptive.estimate.rests != 0:
+        axis_m = params.plant_v_max_mps * adaptive.prediction.interval_s
+        tolerance = max(tolerance, axis_m, MAX_SLOPE * travel_m if innovation_m > 0.0 else 0.0)
     return pending.samples > 0 and abs(further_m) < tolerance
 
 

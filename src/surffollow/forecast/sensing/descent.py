@@ -10,7 +10,7 @@ neither is so, and the ground would be steep. Below the lowest ground so far suc
 
 import math
 
-from surffollow.forecast.estimation.noise import assumed_noise_m
+from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
 from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_band_m, mean_samples
@@ -59,7 +59,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     tool_z_m : float64   height of the tool at that time [m]
     """
     descent, number, share_m = adaptive.descent, mean_samples(adaptive), TESTED_SHARE * params.offset_m
-    band = mean_band_m(assumed_noise_m(adaptive.noise), number)
+    band = mean_band_m(range_noise_m(adaptive.noise), number)
     if descent.t_ns == 0 or not 0 < t_ns - descent.t_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m

@@ -188,8 +188,9 @@ def update_health(params, adaptive, sense, close):
         health.candidate, health.since_ns = state, now_ns
     # a worse state is published after a controller period
     wait_ns = int(PERIOD_S * 1e9) if state > health.state else quantities.PAUSE_NS
-    if health.state < layout.DROPOUT and lost:
-        wait_ns = 0  # there is no demand: the reason is published at once
+    # there is no demand, or again one toward the surface: that is published at once
+    if (health.state < layout.DROPOUT and lost) or (health.state == layout.STUCK and not stuck):
+        wait_ns = 0
     if state == health.state or now_ns - health.since_ns >= wait_ns:
         health.state, health.reason = state, reason
     health.faults |= layout.FAULT_STUCK if stuck else 0

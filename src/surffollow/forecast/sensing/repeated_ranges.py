@@ -23,11 +23,9 @@ def count_repeats(params, adaptive, range_m, tool_z_m, band_m):
     tool_z_m : float64  height of the tool at its time [m]
     band_m : float64    change of the mean range that noise explains [m]
     """
-    repeats, change_m, sigma_m = (
-        adaptive.repeats,
-        abs(range_m - adaptive.repeats.range_m),
-        adaptive.noise.sigma_m,
-    )
+    repeats, noise = adaptive.repeats, adaptive.noise
+    sigma_m = min(noise.sigma_m, noise.range_sigma_m)
+    change_m = abs(range_m - repeats.range_m)
     if repeats.count == 0 or change_m > REPEAT_BAND * sigma_m:
         more, outlier = repeats.count - repeats.usual, change_m > gate_width(params, adaptive)
         if adaptive.response.phase == RESPONSE_RUN:

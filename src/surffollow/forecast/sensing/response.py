@@ -10,7 +10,7 @@ A descent in which the range varies, and that it does not explain (`descent`), i
 must then change by more than it varied.
 """
 
-from surffollow.forecast.estimation.noise import assumed_noise_m
+from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.sensing.constant_ranges import (
     MIN_MEANS,
     MOTION_BANDS,
@@ -227,7 +227,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
     gap_s : float64          after a longer time without samples an answer is awaited anew [s]
     """
     response, number = adaptive.response, mean_samples(adaptive)
-    sigma = assumed_noise_m(adaptive.noise)
+    sigma = range_noise_m(adaptive.noise)
     band = mean_band_m(sigma, number)
     begins = response.t_ns == 0 or t_ns < response.t_ns
     paused, response.t_ns = (t_ns - response.t_ns) * 1e-9 > gap_s, t_ns

@@ -41,7 +41,7 @@ def write_npz(path: FilePath, header: NDArray[Any], pairs: NDArray[Any], progres
             f,
             format=np.array(_FORMAT),
             header=header.view(np.uint8),
-            heights_m=access.metres(header, heights).astype(np.float32).reshape(ny, nx),
+            heights_m=access.metres(header, heights).reshape(ny, nx),
             quanta=heights.reshape(ny, nx),
             counts=access.counts(pairs, 0, ny * nx).reshape(ny, nx),
             origin_m=np.array([header[0]["x0_m"], header[0]["y0_m"]]),

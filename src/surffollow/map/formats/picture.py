@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surffollow.errors import MapFileError, install_command
 from surffollow.map import access
 from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
+from surffollow.map.formats.axis_labels import label_axis, label_plan
 from surffollow.shm import map_layout as ml
 
 _MAX_SIDE = 800  # as many as a figure has dots
@@ -156,7 +157,9 @@ def write_picture(
     factor, unit = (1e3, "mm") if spread < 0.5 else (1.0, "m")
     relief = relief_axes.imshow(heights * factor, cmap="viridis", **common)
     relief_axes.imshow(shaded_relief(heights, spacing), cmap="gray", alpha=0.35, vmin=0, vmax=1, **common)
-    figure.colorbar(relief, ax=relief_axes, label=f"height [{unit}]", shrink=0.8)
+    bar = figure.colorbar(relief, ax=relief_axes, shrink=0.8)
+    z = heights[known] if known.any() else np.zeros(1)
+    label_axis(bar.ax.yaxis, "height", (float(z.min()), float(z.max())), factor, unit)
     shown = np.ma.masked_where(~known, counts)
     image = count_axes.imshow(shown, cmap="cividis", vmin=0, **common)
     figure.colorbar(image, ax=count_axes, label="samples per grid", shrink=0.8)
@@ -168,8 +171,7 @@ def write_picture(
         (count_axes, f"Samples (0: prior); {bounds[4] if bounds else 0} of {n} grids known"),
     ):
         axes.set_title(title, loc="left", fontsize=10, fontweight="bold")
-        axes.set(xlabel="x [m]", ylabel="y [m]")
-        axes.ticklabel_format(useOffset=False)
+        label_plan(axes, extent)
     with replacing(path) as temporary:
         drawn = BytesIO()  # matplotlib's PDF hides a full disk behind an error of its own
         figure.savefig(drawn, format=os.path.splitext(path)[1].lower()[1:], dpi=130)

@@ -234,5 +234,6 @@ def reset_step(header: Any, pairs: Any, budget_grids: Any) -> Any:
     if stop < total:
         return 0
     w.resets += 1
+    w.clipped = 0
     close_journal(header, _READY)
     return 1

@@ -32,6 +32,7 @@ _ULP32 = 2.0**-32
 _LOW32 = 0xFFFFFFFF
 
 _MAX = float(ml.MAX_HEIGHT)
+_UNKNOWN = ml.UNKNOWN
 _PAPER = ml.ROUND_PAPER
 _READY = ml.READY
 _UPDATED, _OUTSIDE, _CLIPPED, _GATED, _INVALID, _NOT_READY = range(6)
@@ -107,16 +108,21 @@ def _grid_of(w: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
 
 
 @jit_inlined
+def _forget(pair: Any, lane: Any) -> None:
+    """Make a grid unknown: its ground left the range of heights, so no height of it would be right."""
+    # the count first: a death between the two leaves a prior, not a mean with the weight of UNKNOWN
+    pair.c[lane] = np.uint8(0)
+    fence_release()
+    pair.h[lane] = np.int16(_UNKNOWN)
+    fence_release()
+
+
+@jit_inlined
 def _average_in(w: Any, pair: Any, lane: Any, ix: Any, iy: Any, z_m: Any) -> Any:
     """Average a height into the grid in column `ix`, row `iy`, which is `lane` of `pair`."""
     if w.datum_set == 0:
         _first_datum(w, z_m)
-    status = _UPDATED
     z = (z_m - w.datum_m) * w.inv_quantum_per_m
-    if abs(z) > _MAX:
-        z = _MAX if z > 0.0 else -_MAX
-        status = _CLIPPED
-        w.clipped += 1
     count = np.int64(pair.c[lane])
     height = np.int64(pair.h[lane])
     if (
@@ -128,6 +134,13 @@ def _average_in(w: Any, pair: Any, lane: Any, ix: Any, iy: Any, z_m: Any) -> Any
         pair.c[lane] = np.uint8(worn if worn >= w.gate_min_count else 0)
         w.gated += 1
         return _GATED
+    tile = (iy >> w.tile_shift) * w.tiles_x + (ix >> w.tile_shift)
+    if not abs(z) <= _MAX:
+        w.clipped += 1
+        if height != _UNKNOWN:
+            _forget(pair, lane)
+            w.dirty[tile] += np.uint32(1)
+        return _CLIPPED
     u = 0.0
     if w.rounding != _PAPER:
         n = w.dither_count
@@ -138,10 +151,9 @@ def _average_in(w: Any, pair: Any, lane: Any, ix: Any, iy: Any, z_m: Any) -> Any
     pair.h[lane] = np.int16(blended(height, count, z, w.rounding == _PAPER, u))
     pair.c[lane] = np.uint8(min(count + 1, 255))
     fence_release()
-    tile = (iy >> w.tile_shift) * w.tiles_x + (ix >> w.tile_shift)
     w.dirty[tile] += np.uint32(1)
     w.samples += 1
-    return status
+    return _UPDATED
 
 
 @jit_inlined
@@ -156,7 +168,8 @@ def update_map(header: Any, pairs: Any, x_m: Any, y_m: Any, z_m: Any) -> Any:
 
     Returns
     -------
-    int64  UPDATED, OUTSIDE, CLIPPED (stored at the end of the range), GATED, INVALID, NOT_READY
+    int64  UPDATED, OUTSIDE, CLIPPED (beyond the range of heights: the grid is unknown now), GATED, INVALID,
+           NOT_READY
 
     Notes
     -----
@@ -186,7 +199,7 @@ def add_points(header: Any, pairs: Any, points: Any) -> Any:
 
     Returns
     -------
-    int64  points that changed a grid
+    int64  points averaged into a grid
     """
     w = header[0]
     before = w.samples
@@ -226,13 +239,17 @@ def _add_unbiased(w: Any, pairs: Any, points: Any, start: Any) -> None:
             if not inside:
                 w.outside += 1
                 continue
-            z = _MAX if z > 0.0 else -_MAX
             w.clipped += 1
         # columns and rows are below 2^31, and 32-bit conversions are the fast ones
         ix, iy = np.uint64(np.uint32(np.int32(fx))), np.uint64(np.uint32(np.int32(fy)))
         i = iy * columns + ix
         lane = i & _U1
         pair = pairs[i >> _U1]
+        if not abs(z) <= _MAX:
+            if pair.h[lane] != _UNKNOWN:
+                _forget(pair, lane)
+                dirty[(iy >> shift) * tiles_x + (ix >> shift)] += np.uint32(1)
+            continue
         if n & (_BLOCK - 1) == 0:
             rotation = dither_rotation(w.dither_seed, n >> 6)
         u = dither_at(rotation, n)

@@ -127,6 +127,7 @@ def install_end(header: Any) -> Any:
     if w.journal_op != _INSTALLING or w.journal_progress != w.journal_nx * w.journal_ny:
         return _BAD_MAP
     w.installs += 1
+    w.clipped = 0
     close_journal(header, _READY)
     return _OK
 

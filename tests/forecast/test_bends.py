@@ -1,0 +1,90 @@
+"""Ground that bends under a good sensor of little noise: no estimate that runs away from the samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from .job_loop import Job, follow
+
+AUV = Job(5.0, 2.0, 1.0, 0.2, 0.5, 0.3, 0.001, (0.5, 40.0))
+DRONE = Job(2.0, 0.35, 0.1, 0.05, 2.0, 4.0, 0.002, (0.2, 12.0))
+SPRAYER = Job(0.5, 0.2, 0.011, 0.02, 0.5, 2.0, 0.0001, (0.05, 2.5))
+
+
+@pytest.mark.parametrize(
+    ("job", "interval_s", "sigma_m", "slope", "bottom_m"),
+    [
+        (DRONE, 0.18, 0.0005, 0.2, 20.0),
+        (DRONE, 0.18, 0.002, 0.2, 47.0),
+        (AUV, 1.0, 0.004, 0.3, 95.7),
+        (AUV, 1.5, 0.001, 0.3, 95.7),
+    ],
+)
+def test_a_slow_sensor_stays_over_ground_that_bends_into_a_rise(job, interval_s, sigma_m, slope, bottom_m):
+    """GIVEN samples below the estimate WHEN the ground rises between them THEN they agree.
+
+    None did: the models climbed on at their last slope, by 1.3 to 7.7 stand-offs, VALID.
+    """
+    slow = replace(job, reading_s=interval_s, sigma_m=sigma_m)
+    speed = 0.6 * job.standoff_m if job is DRONE else 1.0
+    run = follow(slow, lambda x, t: slope * abs(x - bottom_m), (bottom_m + 40.0) / speed, speed, seed=3)
+    assert run.clearance_m.max() < 1.4 * job.standoff_m
+
+
+def test_ground_that_turns_under_a_resting_tool_is_followed():
+    """GIVEN ground that rises and falls at 0.3 of the axis' speed THEN the tool follows.
+
+    It was 8 stand-offs too high.
+    """
+    run = follow(DRONE, lambda x, t: 0.6 * abs(t % 30.0 - 15.0), 60.0)
+    assert run.clearance_m.max() < 2.0 * DRONE.standoff_m
+    assert "VALID" in run.states[-1]["status"]
+
+
+def stop_and_go(speed_mps: float, ramp_s: float, moving_s: float, resting_s: float):
+    """Place [m] of a tool that rests, starts, moves and stops, over and over, at a time [s]."""
+    period_s, way_m = resting_s + 2.0 * ramp_s + moving_s, speed_mps * (ramp_s + moving_s)
+
+    def place_m(t: float) -> float:
+        n, s = divmod(t, period_s)
+        rising_s = min(max(s - resting_s, 0.0), ramp_s)
+        even_s = min(max(s - resting_s - ramp_s, 0.0), moving_s)
+        falling_s = max(s - resting_s - ramp_s - moving_s, 0.0)
+        ramps = rising_s**2 / 2.0 + falling_s * ramp_s - falling_s**2 / 2.0
+        return n * way_m + speed_mps * (ramps / ramp_s + even_s)
+
+    return place_m
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "fall", "rise", "length_m", "ramp_taus", "moving_taus", "resting_taus"),
+    [
+        (3.3, 0.11, 0.06, 18.2, 0.09, 27.0, 21.0),
+        (3.3, 0.10, 0.05, 18.2, 0.33, 27.0, 21.0),
+        (3.3, 0.12, 0.12, 18.2, 0.09, 27.0, 21.0),
+        (2.6, 0.12, 0.12, 32.3, 0.33, 19.0, 18.0),
+    ],
+)
+def test_stop_and_go_over_slopes_costs_no_clearance(
+    speed_mps, fall, rise, length_m, ramp_taus, moving_taus, resting_taus
+):
+    """GIVEN falls and rises WHEN the tool stops and goes THEN it is hardly lower than a P loop.
+
+    Each sample over a rise was a step, which left falling slopes as they were. The slope of the blend went
+    to -10, and the tool touched the ground, VALID.
+    """
+    period_m, tau = length_m * (1.0 + fall / rise), SPRAYER.tau_s
+
+    def ground_m(x: float, t: float) -> float:
+        u = x % period_m
+        return -fall * u if u < length_m else rise * (u - length_m) - fall * length_m
+
+    place_m = stop_and_go(speed_mps, ramp_taus * tau, moving_taus * tau, resting_taus * tau)
+    ours, plain = (
+        follow(SPRAYER, ground_m, 40.0, plain=p, place_m=place_m, seed=2).clearance_m.min()
+        for p in (False, True)
+    )
+    print(f"least clearance {ours:.3f} m, P loop {plain:.3f} m of {SPRAYER.standoff_m} m")
+    assert ours > plain - 0.3 * SPRAYER.standoff_m
