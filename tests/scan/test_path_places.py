@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from scan.sample_ground import GRID
 from surffollow.cli.scan import scan_group
 from surffollow.errors import ScanInputError
-from surffollow.scan import TerrainGrid, disc
+from surffollow.scan import TerrainGrid, disc, signal_map, terrain_map
 from surffollow.scan.check import check_path
 from surffollow.scan.check_clearance import check_clearance
 from surffollow.scan.limits import Annulus
@@ -139,6 +139,18 @@ def test_a_point_beside_the_map_is_below_no_ground_but_one_over_it_is(tmp_path):
     for points, least_m in ((beside, math.hypot(0.1, 0.1)), (below, -0.1)):
         found = check_clearance(ground.heights_m, (0.0, 0.0), 0.1, points, 0.05, np.array([least_m]))
         assert found[0].value == pytest.approx(least_m)
+
+
+@pytest.mark.parametrize("region", [(0.0, 0.0, 1.4, 1.2), (0.3, 0.1, 0.9, 0.7), (0.005, 0.01, 0.715, 0.505)])
+def test_a_map_far_from_the_origin_has_the_cells_of_one_near_it(region):
+    """A length of 1.4 m between UTM coordinates is 1.4 m and a nanometre."""
+    points = np.random.default_rng(3).uniform((0.0, 0.0, 0.0), (1.4, 1.2, 0.1), (3000, 3))
+    near = terrain_map(points, 0.005, region=region)
+    far = terrain_map(points + [*UTM_M, 0.0], 0.005, region=region + np.tile(UTM_M, 2))
+    assert far.shape == near.shape
+    signal = signal_map(points[:, :2], points[:, 2], 0.005, region=region)
+    there = signal_map(points[:, :2] + UTM_M, points[:, 2], 0.005, region=region + np.tile(UTM_M, 2))
+    assert there.count.shape == signal.count.shape == near.shape
 
 
 def test_the_extent_of_a_map_far_from_the_origin_is_printed_to_a_millimetre(tmp_path):

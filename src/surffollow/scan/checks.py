@@ -13,6 +13,7 @@ from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.units import numbers_text
 
 Floats = NDArray[np.float64]
+SAME_CELLS = 1e-5  # of a cell: coordinates of 1e7 m are rounded to 2 nm, cells are 1 mm and more
 
 
 def real_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
@@ -53,6 +54,11 @@ def finite(name: str, value: float, unit: str = "m") -> float:
     if not math.isfinite(number):
         raise ScanInputError(f"{name} is {number}; it must be a finite number of {unit}")
     return number
+
+
+def cells_along(length_m: float, grid_m: float) -> int:
+    """How many cells cover a length, which is rounded where its ends are far from the origin."""
+    return math.ceil(length_m / grid_m - SAME_CELLS)
 
 
 def region_of(region: Sequence[float]) -> tuple[float, float, float, float]:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import ScanFileError, ScanInputError, install_command
 from surffollow.map.formats.atomic_file import replacing
-from surffollow.scan.checks import Floats, positive, real_array, region_of
+from surffollow.scan.checks import Floats, cells_along, positive, real_array, region_of
 from surffollow.units import numbers_text
 
 MAX_CELLS = 100_000_000
@@ -195,7 +195,7 @@ def signal_map(
         x1, y1 = ((math.floor(float(c) / g + 1e-9) + 1) * g for c in high)
     else:
         x0, y0, x1, y1 = region_of(region)
-    cols, rows = math.ceil((x1 - x0) / g - 1e-9), math.ceil((y1 - y0) / g - 1e-9)
+    cols, rows = cells_along(x1 - x0, g), cells_along(y1 - y0, g)
     if rows * cols > MAX_CELLS:
         raise ScanInputError(f"{rows} × {cols} cells of {g:g} m; at most {MAX_CELLS}; is grid_m in metres?")
     col = np.floor((xy[:, 0] - x0) / g + 1e-9).astype(np.int64)

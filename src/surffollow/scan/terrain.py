@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, QhullError
 
 from surffollow.errors import ScanInputError
-from surffollow.scan.checks import Floats, positive, real_array, region_of
+from surffollow.scan.checks import Floats, cells_along, positive, real_array, region_of
 from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.triangles import lay_triangles
 from surffollow.units import numbers_text
@@ -76,7 +76,7 @@ def terrain_map(
     side = g if average_m is None else positive("average_m", average_m)
     fill = FILL_CELLS * g if fill_m is None else positive("fill_m", fill_m)
     x0, y0, x1, y1 = region_of(region) if region is not None else _around(points, g)
-    cols, rows = math.ceil((x1 - x0) / g - 1e-9), math.ceil((y1 - y0) / g - 1e-9)
+    cols, rows = cells_along(x1 - x0, g), cells_along(y1 - y0, g)
     if rows * cols > MAX_CELLS:
         raise ScanInputError(
             f"{x1 - x0:g} × {y1 - y0:g} m in cells of {g:g} m are {rows * cols} cells; at most {MAX_CELLS}; "
