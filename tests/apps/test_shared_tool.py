@@ -14,7 +14,8 @@ from running_service import run_command, until
 from surffollow.apps.run_by_holder import RunByHolder
 from surffollow.apps.shared_demo import arbiter_text
 from surffollow.apps.shared_tool import RECENT, ReportedPoses, attach_arbitrated, follow
-from surffollow.arbiter import attach
+from surffollow.arbiter import attach, command_reader
+from surffollow.client import attach as attach_service
 
 POSE = (0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0)
 
@@ -106,6 +107,38 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
 def shared(tmp_path):
     with ArbiterProcess(tmp_path, arbiter_text("sum")).running() as server:
         yield server
+
+
+def test_a_command_is_as_old_as_the_demand_that_it_hands_on(service, shared):
+    """It had the time of sending: a demand from before a pause of the process was handed on as a new one."""
+    over = threading.Event()
+    robot = attach_arbitrated(service.name, shared.name, "tool")
+
+    def report():
+        while not over.wait(0.002):
+            robot.ee_pos(POSE)
+
+    def lead():
+        follow(service.name, shared.name, "follow", over.is_set)
+
+    threads = [threading.Thread(target=work) for work in (report, lead)]
+    for thread in threads:
+        thread.start()
+    try:
+        with attach_service(service.name) as demands, command_reader(shared.name, "follow") as commands:
+            made = set()
+
+            def is_of_a_demand():
+                made.add(demands.dev_vector().t_ns)
+                command = commands.latest()
+                return not command.safe and command.t_ns in made
+
+            until(is_of_a_demand)
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
+        robot.close()
 
 
 def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shared):

@@ -194,7 +194,10 @@ def follow(
                 # a robot reports to the service first: its status may come an instant after the demand
                 pose = poses.at(demand.pose_t_ns) or poses.at(demand.pose_t_ns)
                 counts["without_pose"] += pose is None
-                counts["commands"] += tool.command(*demand, ref_t_ns=demand.pose_t_ns, ref_pose=pose)
+                # as old as the demand, whatever this process waited for since
+                counts["commands"] += tool.command(
+                    *demand, t_ns=demand.t_ns, ref_t_ns=demand.pose_t_ns, ref_pose=pose
+                )
             time.sleep(FOLLOW_PERIOD_S)
     return counts
 
@@ -227,10 +230,10 @@ class Avoider:
             self._height_m = pose[2] + self.lift_m
             self.passages += 1
         if self.add:
-            self.tool.command(0.0, 0.0, self.lift_m, 0.0, 0.0, 0.0)
+            self.tool.command(0.0, 0.0, self.lift_m, 0.0, 0.0, 0.0, t_ns=t_ns)
         else:
             rise = self._height_m - pose[2]
-            self.tool.command(0.0, 0.0, rise, 0.0, 0.0, 0.0, ref_t_ns=t_ns, ref_pose=pose)
+            self.tool.command(0.0, 0.0, rise, 0.0, 0.0, 0.0, t_ns=t_ns, ref_t_ns=t_ns, ref_pose=pose)
 
 
 def avoid(
