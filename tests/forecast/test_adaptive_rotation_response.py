@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -178,12 +180,35 @@ def test_too_few_beams_end_a_test():
     assert bench.run(20, 0.0, 0.03) == ROTATION_RUN
 
 
+def ring_params(places_m, orientations):
+    """Parameters of a ring with a stand-off of 0.1 m."""
+    params = default_params()[0]
+    params["offset_m"], params["n_channels"] = 0.1, len(places_m)
+    mounts = params["tool_from_sensor"].reshape(-1, 7)
+    mounts[: len(places_m), :3], mounts[: len(places_m), 3:] = places_m, orientations
+    return params
+
+
 def test_the_mean_range_is_of_all_beams_that_are_new():
+    params = ring_params(4 * [(0.0, 0.0, 0.0)], 4 * [(0.0, 0.0, 0.0, 1.0)])
     beams = zeros(AdaptiveState)[0]["beams"]
-    assert mean_range(beams, 4, 10**9, 0.2) == 0.2
+    assert mean_range(params, beams, 10**9, 0.2) == 0.2
     beams["t_ns"][:3], beams["range_m"][:3] = 10**9 - MS, (0.1, 0.2, 0.6)
     beams["t_ns"][2] -= 100 * MS
-    assert mean_range(beams, 4, 10**9, 0.5) == pytest.approx(0.15)
+    assert mean_range(params, beams, 10**9, 0.5) == pytest.approx(0.15)
+
+
+def test_at_the_stand_off_the_mean_range_is_the_stand_off_whatever_the_mounts():
+    """GIVEN a beam inclined by 20 degrees and one mounted 5 mm higher THEN the mean is 0.1 m, and follows."""
+    angle = math.radians(20.0)
+    inclined = (0.0, math.sin(angle / 2.0), 0.0, math.cos(angle / 2.0))
+    upright = (0.0, 0.0, 0.0, 1.0)
+    params = ring_params([(0, 0, 0), (0.03, 0, 0), (-0.03, 0, 0.005)], [upright, inclined, upright])
+    beams = zeros(AdaptiveState)[0]["beams"]
+    for lift_m in (0.0, 0.02):
+        ranges = np.array([0.1, 0.1 / math.cos(angle), 0.105]) + lift_m
+        beams["t_ns"][:3], beams["range_m"][:3] = 10**9, ranges
+        assert mean_range(params, beams, 10**9, 0.5) == pytest.approx(0.1 + lift_m)
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -237,7 +237,9 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     while last > 0 and beams.sorted_m[last] > highest_m:
         last -= 1
     nearest = beams.sorted_m[last]
-    apart = 2 * agree <= n or (beams.inconsistent != 0 and nearest > median + gate)
+    # one wrong beam of six or more does not outvote the others, whatever was before
+    settled = n > 5 and agree >= n - 1
+    apart = 2 * agree <= n or (beams.inconsistent != 0 and nearest > median + gate and not settled)
     if n < 4 or not begun or not apart:
         beams.inconsistent = 0
     elif is_bent(adaptive, params.n_channels, max(gate, plausible_bend_m(params, adaptive))):

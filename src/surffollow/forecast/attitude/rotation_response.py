@@ -18,27 +18,40 @@ from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.mean_range import RUN_SAMPLES, TEST_BAND_FACTOR, is_suspicious
 from surffollow.forecast.sensing.response import ANSWER_TAUS
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 from surffollow.shm.layout_follow import RUN_NORMAL
 
+LEAST_COSINE = 0.1  # of a beam's inclination: one that is nearly level says little about the distance
+
+
+@jit_inlined
+def expected_range(params, c):
+    """Range of a channel at the stand-off, over ground that is perpendicular to the tool's axis [m]."""
+    at, mounts = 7 * c, params.tool_from_sensor
+    _, _, beam_z = to_world(mounts, at, 0.0, 0.0, -1.0)
+    distance_m = params.offset_m + mounts[at + 2] - mounts[2]  # of the sensor from the ground, along the axis
+    return distance_m / max(-beam_z, LEAST_COSINE)
+
 
 @jit
-def mean_range(beams, n_channels, t_ns, range_m):
+def mean_range(params, beams, t_ns, range_m):
     """Mean of the newest ranges of all beams [m]: constant only if none of them responds.
+
+    Beams that are inclined, or mounted higher, count as if they were not: at the stand-off the mean is the
+    stand-off.
 
     Parameters
     ----------
-    beams : record of `Beams`
-    n_channels : int   channels in use
+    params, beams : records of `Params`, `Beams`
     t_ns : int64       timestamp of the reference's sample
     range_m : float64  its range [m], returned while no beam is as new
     """
     total, n = 0.0, 0
-    for c in range(n_channels):
+    for c in range(params.n_channels):
         if is_recent(beams, c, t_ns):
-            total, n = total + beams.range_m[c], n + 1
-    return total / n if n > 0 else range_m
+            total, n = total + (beams.range_m[c] - expected_range(params, c)), n + 1
+    return params.offset_m + total / n if n > 0 else range_m
 
 
 @jit

@@ -136,7 +136,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     was_stuck = response.is_unresponsive(adaptive.response)
     gap_s = health.dropout_tolerance_s(adaptive.prediction)
     if orients(params):
-        range_m = rotation_response.mean_range(adaptive.beams, params.n_channels, t_ns, range_m)
+        range_m = rotation_response.mean_range(params, adaptive.beams, t_ns, range_m)
     response.observe_response(params, adaptive, t_ns, range_m, pose[2], gap_s)
     descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
     responds = not response.is_unresponsive(adaptive.response)

@@ -1,0 +1,96 @@
+"""Rings in a closed loop that moves and turns the tool: unlike mounts, and one wrong beam of many."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow import Follower
+
+from .tilted import UPRIGHT, beam_of, rotated, times, turned
+
+MS, STANDOFF_M, TAU_S, RADIUS_M = 1_000_000, 0.1, 0.04, 0.03
+
+
+def ring(n: int, middle: bool = False) -> list[tuple[float, float, float]]:
+    angles = [2.0 * math.pi * k / n for k in range(n)]
+    places = [(RADIUS_M * math.cos(a), RADIUS_M * math.sin(a), 0.0) for a in angles]
+    return [(0.0, 0.0, 0.0), *places] if middle else places
+
+
+def follow(places, orientations, ground, seconds, speed_mps, misread=None):
+    """Distances of the tool from the ground [m] and health every 10 ms; ground h(x)."""
+    sensors = [
+        {"near_m": 0.02, "far_m": 0.25, "position_m": list(p), "orientation": list(q)}
+        for p, q in zip(places, orientations, strict=True)
+    ]
+    f, rng = Follower({"sensors": sensors}, offset_m=STANDOFF_M), np.random.default_rng(3)
+    z, goal, tilt, goal_tilt = STANDOFF_M + ground(0.0), STANDOFF_M, np.zeros(2), np.zeros(2)
+    distances, states = [], []
+    for ms in range(round(1e3 * seconds)):
+        t_ns, x = 10**9 + ms * MS, speed_mps * ms * 1e-3
+        q = times(turned(math.degrees(tilt[1])), turned(0.0, math.degrees(tilt[0])))
+        if ms % 4 == 0:
+            ranges = []
+            for place, orientation in zip(places, orientations, strict=True):
+                at, along, r = rotated(q, place), rotated(q, beam_of(orientation)), STANDOFF_M
+                for _ in range(6):
+                    r = (z + at[2] - ground(x + at[0] + r * along[0])) / -along[2]
+                ranges.append(r + 1e-4 * float(rng.standard_normal()))
+            f.step(t_ns, misread(ms * 1e-3, ranges, rng) if misread else ranges)
+        if ms % 10 == 0:
+            f.pose(t_ns, (x, 0.0, z, *q))
+            demand = f.step(t_ns, [math.nan] * len(places))
+            goal, goal_tilt = z + float(demand[2]), tilt + demand[3:5]
+            near = x + np.linspace(-0.1, 0.1, 81)
+            distances.append(min(math.hypot(u - x, z - ground(u)) for u in near))
+            states.append(f.state())
+        z += 1e-3 * min(max((goal - z) / TAU_S, -0.2), 0.2)
+        tilt = tilt + 1e-3 * (goal_tilt - tilt) / TAU_S
+    return np.array(distances), states
+
+
+INCLINED = turned(15.0)
+
+
+@pytest.mark.parametrize(
+    ("places", "orientations"),
+    [
+        ([(p[0], p[1], 0.005 * (k > 0)) for k, p in enumerate(ring(3))], 3 * [UPRIGHT]),
+        (ring(4), [times(turned(0.0), INCLINED)] * 4),
+    ],
+    ids=["higher", "inclined"],
+)
+def test_a_ring_of_unlike_mounts_follows_a_long_fall(places, orientations):
+    """GIVEN good sensors THEN their fall is explained; the tool was held, lifted by 0.9 stand-offs, STUCK."""
+    slope = math.tan(math.radians(25.0))
+    distances, states = follow(places, orientations, lambda x: -slope * x, 10.0, 0.08)
+    late = slice(300, None)
+    print(f"RMS {1e3 * np.std(distances[late]):.2f} mm, greatest {1e3 * distances[late].max():.1f} mm")
+    assert distances[late].max() < 1.1 * STANDOFF_M
+    assert {s["health"] for s in states[late]} == {"OK"}
+
+
+@pytest.mark.parametrize("begin_s", [0.5, 1.5])
+@pytest.mark.parametrize("n", [6, 8])
+def test_one_frozen_beam_of_many_does_not_lead_the_tool_away(n, begin_s):
+    """GIVEN beam 1 frozen with its noise WHEN the ring has crossed a step down THEN the others count.
+
+    The nearest beam counted for seconds: the tool of eight beams climbed to two stand-offs.
+    """
+    held: list[float] = []
+
+    def frozen(t, ranges, rng):
+        if t < begin_s:
+            return ranges
+        held.append(ranges[1])
+        return [ranges[0], held[0] + 1e-4 * rng.standard_normal(), *ranges[2:]]
+
+    distances, _ = follow(
+        ring(n), n * [UPRIGHT], lambda x: 0.0 if x < 0.2 else -0.015, 10.0, 0.1, misread=frozen
+    )
+    print(f"at the end {1e3 * distances[-200:].mean():.1f} mm, greatest {1e3 * distances.max():.1f} mm")
+    assert distances.max() < 1.2 * STANDOFF_M
+    assert abs(distances[-200:] / STANDOFF_M - 1.0).max() < 0.1
