@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from surffollow.cli import main as main_module
 from surffollow.cli.main import cli
 from surffollow.errors import SurffollowError
 from surffollow.map import HeightMap
@@ -94,3 +95,20 @@ def test_a_name_as_long_as_the_file_system_takes_is_written(tmp_path: Path) -> N
 def test_a_folder_is_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
     monkeypatch.chdir(tmp_path)
     assert re.search("Is a directory|is a folder", in_one_line(CliRunner().invoke(cli, command.split())))
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError("Unable to allocate 15.3 MiB"), RuntimeError("can't start new thread")]
+)
+def test_a_process_without_memory_or_threads_says_so_in_one_line(error, monkeypatch, capsys):
+    def fails(**_):
+        raise error
+
+    monkeypatch.setattr(main_module.cli, "main", fails)
+    with pytest.raises(SystemExit) as exited:
+        main_module.main(["status"])
+    said = capsys.readouterr().err
+    assert exited.value.code == 1
+    assert said.startswith("surffollow: the limits of this process")
+    assert "ulimit -v" in said
+    assert len(said.splitlines()) == 1

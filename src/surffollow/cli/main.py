@@ -164,6 +164,15 @@ def main(argv: list[str] | None = None) -> Any:
             raise
         print(f"surffollow: {remedy}", file=sys.stderr)
         sys.exit(1)
+    except (MemoryError, RuntimeError) as e:
+        if not isinstance(e, MemoryError) and "start new thread" not in str(e):
+            raise
+        print(
+            "surffollow: the limits of this process leave no memory or no thread: see 'ulimit -v' and"
+            " 'ulimit -u'; a service needs 1 GB of address space",
+            file=sys.stderr,
+        )
+        sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:
