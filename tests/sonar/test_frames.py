@@ -106,6 +106,34 @@ def test_a_room_has_its_four_walls_wherever_the_map_begins(corner):
         assert abs(near.distance_m - d) < 3.0 * near.distance_std_m
 
 
+@pytest.mark.parametrize("call", ["pair", "optimal", "fused", "walls"])
+def test_sonars_on_the_other_side_of_a_wall_change_nothing(call):
+    """Places before and behind a partition, as over a path: their mean may lie behind it, too."""
+    seed = 12
+    rng, ring = np.random.default_rng(seed), SonarRing.regular(model="diffuse", range_sigma=1e-4)
+    ring = SonarRing(ring.positions_m[:3], ring.headings_rad[:3], ring.half_beam_rad, LIMITS["diffuse"], 1e-4)
+    away = SonarRing(
+        np.vstack([ring.positions_m, np.full((9, 2), 5.0)]), np.append(ring.headings_rad, np.zeros(9)),
+        ring.half_beam_rad, LIMITS["diffuse"], 1e-4,
+    )  # fmt: skip
+    for k in range(12):
+        r = noisy(ring, rng, some_walls(rng, 3))
+        here = found_at(CALLS[call], ring, (0.0, 0.0, 0.0), r)
+        both = found_at(CALLS[call], away, (0.0, 0.0, 0.0), np.append(r, np.full(9, math.nan)))
+        assert here, f"seed {seed}, scene {k}"
+        assert_one_result(here, both, (0.0, 0.0, 0.0), f"seed {seed}, scene {k}", share=0.01)
+
+
+@pytest.mark.parametrize("drive_m", [0.0, 40.0])
+@pytest.mark.parametrize(("apart_m", "same"), [(0.02, True), (0.3, False)])
+def test_parallel_walls_are_two_wherever_the_belief_began(drive_m, apart_m, same):
+    belief = Belief(SonarRing.regular(), 1)
+    belief.move(drive_m=drive_m)
+    covariance = np.diag([0.1**2, 0.01**2])
+    near, far = (WallPose(1.0, d, covariance, ()).moved(-drive_m, 0.0, 0.0) for d in (1.5, 1.5 + apart_m))
+    assert belief._same(near, far) == same
+
+
 @pytest.mark.parametrize("start", [(0.0, 0.0), (2.4, 30.0)], ids=["begun here", "begun 30 m away"])
 def test_a_belief_does_not_depend_on_where_it_began(start):
     seed, known = 5, 0
@@ -160,8 +188,14 @@ def test_a_robot_that_passes_a_partition_keeps_it_and_finds_its_other_side():
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (40.0, -25.0, 2.0)], ids=["robot frame", "map"])
 @pytest.mark.parametrize("beyond", [False, True], ids=["this side", "other side"])
-@pytest.mark.parametrize(("phi_deg", "distance_m"), [(-20, 0.93), (-60, 0.67)])
-def test_an_earlier_pose_decides_in_every_frame_and_from_either_side(phi_deg, distance_m, beyond, pose):
+@pytest.mark.parametrize(
+    ("phi_deg", "distance_m", "distance_std_m", "correlation", "expected_deg"),
+    [(-20, 0.93, 0.02, 0.0, -19.0), (-60, 0.67, 0.02, 0.0, -63.8), (-30.5, 0.725, 0.1, 0.99, -19.0)],
+    ids=["first", "second", "by its correlation"],
+)
+def test_an_earlier_pose_decides_in_every_frame_and_from_either_side(
+    phi_deg, distance_m, distance_std_m, correlation, expected_deg, beyond, pose
+):
     # the pair of two walls of test_pair: -19 degrees, 0.925 m, and -63.8 degrees, 0.684 m
     ring = SonarRing(
         np.array([(0.0, 0.3), (0.0, -0.3)]),
@@ -169,7 +203,8 @@ def test_an_earlier_pose_decides_in_every_frame_and_from_either_side(phi_deg, di
         math.radians(22.5),
         math.radians(112.5),
     )
-    covariance = np.array([[0.1**2, 1e-3], [1e-3, 0.02**2]])
+    cross = correlation * 0.1 * distance_std_m
+    covariance = np.array([[0.1**2, cross], [cross, distance_std_m**2]])
     prior = WallPose(math.radians(phi_deg), distance_m, covariance, ())
     if beyond:
         turned = covariance * np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -182,7 +217,7 @@ def test_an_earlier_pose_decides_in_every_frame_and_from_either_side(phi_deg, di
         model="diffuse", sigma_m=1e-6, prior=in_map,
     )  # fmt: skip
     assert [w.favoured for w in found] == [True, False]
-    assert math.degrees(found[0].moved(*pose).phi_rad) == pytest.approx(phi_deg, abs=4)
+    assert math.degrees(found[0].moved(*pose).phi_rad) == pytest.approx(expected_deg, abs=0.1)
 
 
 def test_a_wall_that_is_moved_and_moved_back_is_the_same():
