@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sonar.naive_sonar import ring_ranges, wrapped
+from surffollow.errors import UsageError
 from surffollow.sonar import WallPose, fused_pose, optimal_pair, wall_pose, walls
 from surffollow.sonar.belief import Belief
 from surffollow.sonar.ring import SonarRing
@@ -218,6 +219,12 @@ def test_an_earlier_pose_decides_in_every_frame_and_from_either_side(
     )  # fmt: skip
     assert [w.favoured for w in found] == [True, False]
     assert math.degrees(found[0].moved(*pose).phi_rad) == pytest.approx(expected_deg, abs=0.1)
+
+
+def test_an_earlier_pose_that_is_refused_is_named_as_it_was_given():
+    prior = WallPose(0.0, 1.0, -np.eye(2), ())
+    with pytest.raises(UsageError, match=r"\[\[-1.0, -0.0\], \[-0.0, -1.0\]\]"):
+        wall_pose([(30.0, 40.0), (30.0, 40.4)], (0.0, 0.0), (1.0, 1.0), 0.2, prior=prior)
 
 
 def test_a_wall_that_is_moved_and_moved_back_is_the_same():

@@ -21,7 +21,7 @@ from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
 from surffollow.sonar.posterior import N_POINTS
 from surffollow.sonar.readings import Readings, about_their_mean, check_readings
 from surffollow.sonar.ring_walls import find_walls
-from surffollow.sonar.wall import WallPose, mark_favoured
+from surffollow.sonar.wall import WallPose, check_prior, mark_favoured
 
 MAX_CANDIDATES = 8192
 
@@ -119,7 +119,9 @@ def wall_pose(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
     )
     readings, (x, y) = about_their_mean(readings)
-    prior = None if prior is None else prior.moved(x, y, 0.0)
+    if prior is not None:
+        check_prior(prior)
+        prior = prior.moved(x, y, 0.0)
     rows, n = _candidates(readings)
     order = np.empty(max(n, 1), np.int64)
     echoes = int(np.isfinite(readings.ranges_m).sum())

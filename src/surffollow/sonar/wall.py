@@ -112,15 +112,10 @@ def mark_favoured(
     headings_rad : (m,) array
         axes of the beams, by the walls' `sensors`
     prior : WallPose or None
-        an earlier pose of the wall that is looked for, in the walls' frame
+        an earlier pose of the wall that is looked for, in the walls' frame, whose origin is among the sonars
     reproduces : callable
         whether every reading is within its own noise of what a wall predicts: a vague
         solution of one pair agrees with anything
-
-    Raises
-    ------
-    UsageError
-        the prior's covariance is not positive definite
     """
 
     def is_before_its_sonars(wall: WallPose) -> bool:
@@ -139,8 +134,14 @@ def mark_favoured(
     return sorted(marked, key=lambda w: not w.favoured)
 
 
-def _near(prior: WallPose) -> Callable[[WallPose], bool]:
-    """Whether a wall lies within three standard deviations of a prior pose."""
+def check_prior(prior: WallPose) -> None:
+    """Refuse an earlier pose without a covariance.
+
+    Raises
+    ------
+    UsageError
+        the prior's covariance is not positive definite
+    """
     if not (
         np.isfinite(prior.covariance).all()
         and prior.covariance[0, 0] > 0.0
@@ -151,14 +152,18 @@ def _near(prior: WallPose) -> Callable[[WallPose], bool]:
             "uncertainty that the pose has by now (rad², rad m, m²)"
         )
 
+
+def _near(prior: WallPose) -> Callable[[WallPose], bool]:
+    """Whether a wall lies within three standard deviations of a prior pose."""
+    if prior.distance_m < 0.0:  # the sonars passed it: the same line from its other side is (φ + π, −d)
+        turned = prior.covariance * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        phi, distance = prior.phi_rad + math.pi, -prior.distance_m
+        prior = replace(prior, phi_rad=phi, distance_m=distance, covariance=turned)
+
     def near(wall: WallPose) -> bool:
         turn = math.remainder(wall.phi_rad - prior.phi_rad, 2.0 * math.pi)
-        sense = 1.0
-        if abs(turn) > 0.5 * math.pi:  # the same line, seen from its other side: (φ + π, −d)
-            turn, sense = turn - math.copysign(math.pi, turn), -1.0
-        off = np.array([turn, wall.distance_m - sense * prior.distance_m])
+        off = np.array([turn, wall.distance_m - prior.distance_m])
         own = wall.covariance if np.isfinite(wall.covariance).all() else np.zeros((2, 2))
-        seen = prior.covariance * np.array([[1.0, sense], [sense, 1.0]])
-        return float(off @ np.linalg.solve(seen + own, off)) <= N_SIGMA**2
+        return float(off @ np.linalg.solve(prior.covariance + own, off)) <= N_SIGMA**2
 
     return near
