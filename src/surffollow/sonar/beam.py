@@ -1,9 +1,9 @@
 """Beam model of a sonar: the range that a wall gives, and how a reading bounds the wall.
 
-A wall is {x : n·x = d} with n = (cos φ, sin φ) and d > 0, seen from the origin of the robot frame. A sonar
-at p with heading θ and half beam width α has the incidence δ = wrap(φ − θ) and the edge angle
-e = max(0, |δ| − α). Its range is r = (d − n·p)/cos e while |δ| ≤ δ_max; else there is no echo
-(Dekhil and Henderson, section 1; the closed form is this project's).
+A wall is {x : n·x = d} with n = (cos φ, sin φ), which points from the sonars to the wall. A sonar at p with
+heading θ and half beam width α has the incidence δ = wrap(φ − θ) and the edge angle e = max(0, |δ| − α).
+Its range is r = (d − n·p)/cos e while |δ| ≤ δ_max and d − n·p > 0; else there is no echo (Dekhil and
+Henderson, section 1; the closed form is this project's).
 """
 
 from __future__ import annotations

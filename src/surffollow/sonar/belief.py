@@ -1,7 +1,8 @@
 """Hypotheses on the walls of an enclosure from the readings so far, over several poses of the robot.
 
 Readings of earlier poses stay: they are sonars at other places in the belief's frame, so one sonar that
-moves (1W1S with motion) is handled like a ring. The odometry between the poses is taken as exact.
+moves (1W1S with motion) is handled like a ring. The odometry between the poses is taken as exact. The two
+sides of a partition are two walls: φ points from the robot to each when it was seen.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Belief:
     k : int
         walls to find
     phi_bound_rad, distance_bound_m : float
-        standard deviations under which a wall counts as known
+        standard deviations under which a wall counts as known, d taken from the robot's place
     """
 
     def __init__(
@@ -92,8 +93,13 @@ class Belief:
         return self.k == 1 and len(self.hypotheses) > 1
 
     def is_known(self, wall: WallPose) -> bool:
-        """Whether both standard deviations of a wall are within the bounds."""
-        return wall.phi_std_rad <= self.phi_bound_rad and wall.distance_std_m <= self.distance_bound_m
+        """Whether both standard deviations of a wall, seen from the robot, are within the bounds."""
+        seen = self._from_here(wall)
+        return seen.phi_std_rad <= self.phi_bound_rad and seen.distance_std_m <= self.distance_bound_m
+
+    def _from_here(self, wall: WallPose) -> WallPose:
+        """A wall with its distance from the robot: its error does not depend on where the belief began."""
+        return wall.moved(self.pose[0], self.pose[1], 0.0)
 
     @property
     def settled(self) -> bool:
@@ -213,6 +219,7 @@ class Belief:
 
     def _same(self, a: WallPose, b: WallPose, phi_std_rad: float = 0.0) -> bool:
         """Whether two walls are one, within their distances and a standard deviation of φ."""
+        a, b = self._from_here(a), self._from_here(b)
         turn = abs(math.remainder(a.phi_rad - b.phi_rad, 2.0 * math.pi))
         margin_m = 3.0 * math.hypot(a.distance_std_m, b.distance_std_m)
         return (

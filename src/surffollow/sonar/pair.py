@@ -97,11 +97,8 @@ def solve_pair(readings: Any, i: Any, j: Any, found: Any) -> Any:
                 phi = wrap(direction + sign * opening)
                 nx, ny = math.cos(phi), math.sin(phi)
                 distance = 0.5 * (hi + hj + nx * (ax + bx) + ny * (ay + by))
-                if (
-                    distance <= 0.0
-                    or distance - nx * xi - ny * yi <= 0.0
-                    or distance - nx * xj - ny * yj <= 0.0
-                ):
+                # in front of both sonars; the frame's origin may be behind it
+                if distance - nx * xi - ny * yi <= 0.0 or distance - nx * xj - ny * yj <= 0.0:
                     continue
                 var_phi, cov, var_d = pair_covariance(readings, i, j, phi)
                 tolerance = EXACT_RAD

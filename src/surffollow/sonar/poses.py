@@ -1,7 +1,8 @@
 """Wall poses from sonar readings: the calls for programs (docs/explanation/wall-pose.md).
 
 Angles are in radians, lengths in metres, everything in the frame that the sonars' positions are given in.
-A range of inf means no echo, NaN means not measured.
+The normal of a wall points from the sonars to it, so d is negative where the frame's origin lies behind the
+wall. The walls found are the same in every frame. A range of inf means no echo, NaN means not measured.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from surffollow.sonar.agreement import count_agreement
 from surffollow.sonar.candidate_ranking import distinct_walls
 from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
 from surffollow.sonar.posterior import N_POINTS
-from surffollow.sonar.readings import Readings, check_readings
+from surffollow.sonar.readings import Readings, about_their_mean, check_readings
 from surffollow.sonar.ring_walls import find_walls
-from surffollow.sonar.wall import WallPose, mark_favoured
+from surffollow.sonar.wall import WallPose, check_prior, mark_favoured
 
 MAX_CANDIDATES = 8192
 
@@ -79,20 +80,20 @@ def wall_pose(
     max_range_m : float
         silence beyond it says nothing
     prior : WallPose
-        an earlier pose of this wall, in this frame (`WallPose.moved`)
+        an earlier pose of this wall, in this frame (`WallPose.moved`), from either side of it
 
     Returns
     -------
     list of WallPose
-        The walls that every reading agrees with: the favoured ones first, then by L²·var φ + var d (L = 1 m).
-        `ambiguous` is set in all of them when several are favoured. A wall is not `favoured` where it does
-        not predict every reading within three standard deviations and another does, where a beam's axis
-        points away from it (|φ − θ| > 90°) and another wall has no such beam, or where it differs from
-        `prior` by more than three standard deviations and another does not. Covariance alone must not
-        choose: it prefers mirrored walls. Where |r₂ − r₁| > B by noise, the beams' overlap is the answer.
-        Empty where infinitely many walls agree: a lone echo, or sonars at one place with equal ranges;
-        `fused_pose` answers these with the covariance that the beams leave. Empty, too, where the readings
-        differ from every wall by more than three standard deviations.
+        The walls that every reading agrees with: the favoured ones first, then by L²·var φ + var d (L = 1 m),
+        d taken from the mean of the sonars' places. `ambiguous` is set in all of them when several are
+        favoured. A wall is not `favoured` where it does not predict every reading within three standard
+        deviations and another does, where a beam's axis points away from it (|φ − θ| > 90°) and another
+        wall has no such beam, or where it differs from `prior` by more than three standard deviations and
+        another does not. Covariance alone must not choose: it prefers mirrored walls. Where |r₂ − r₁| > B
+        by noise, the beams' overlap is the answer. Empty where infinitely many walls agree: a lone echo, or
+        sonars at one place with equal ranges; `fused_pose` answers these with the covariance that the beams
+        leave. Empty, too, where the readings differ from every wall by more than three standard deviations.
 
     Raises
     ------
@@ -117,6 +118,10 @@ def wall_pose(
     readings = check_readings(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
     )
+    readings, (x, y) = about_their_mean(readings)
+    if prior is not None:
+        check_prior(prior)
+        prior = prior.moved(x, y, 0.0)
     rows, n = _candidates(readings)
     order = np.empty(max(n, 1), np.int64)
     echoes = int(np.isfinite(readings.ranges_m).sum())
@@ -129,7 +134,9 @@ def wall_pose(
         agreement = count_agreement(readings, exactly, reported, verdicts)
         return bool(agreement == (echoes, 0))
 
-    return mark_favoured([_wall(row, pair) for row, pair in pairs], readings.headings_rad, prior, reproduces)
+    unmarked = [_wall(row, pair) for row, pair in pairs]
+    marked = mark_favoured(unmarked, readings.headings_rad, prior, reproduces)
+    return [wall.moved(-x, -y, 0.0) for wall in marked]
 
 
 def optimal_pair(
@@ -137,7 +144,8 @@ def optimal_pair(
 ) -> WallPose | None:
     """The wall of the pair with the least L²·var φ + var d (L = 1 m) among all that agree with every reading.
 
-    Parameters and errors as `wall_pose`, whose first result this is; None where no wall agrees.
+    d is taken from the mean of the sonars' places. Parameters and errors as `wall_pose`, whose first result
+    this is; None where no wall agrees.
 
     Parameters
     ----------
@@ -283,6 +291,7 @@ def walls(
     readings = check_readings(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
     )
+    readings, (x, y) = about_their_mean(readings)
     if not (readings.sigmas_m > 0.0).all():
         raise UsageError("sigma_m must be positive: the readings are weighed by it")
     m = readings.ranges_m.size
@@ -299,4 +308,5 @@ def walls(
         result,
         owner,
     )
-    return [_wall(result[w], tuple(int(i) for i in np.flatnonzero(owner == w))) for w in range(n)]
+    inliers = [tuple(int(i) for i in np.flatnonzero(owner == w)) for w in range(n)]
+    return [_wall(result[w], inliers[w]).moved(-x, -y, 0.0) for w in range(n)]

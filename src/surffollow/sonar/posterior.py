@@ -32,7 +32,10 @@ def _distance_reported(readings: Any, i: Any, phi_rad: Any, nx: Any, ny: Any) ->
 
 @jit
 def _profile(readings: Any, verdicts: Any, phi_rad: Any) -> Any:
-    """Best distance for one φ, its information, half the chi-square left, and whether φ is possible."""
+    """Best distance for one φ, its information, half the chi-square left, and whether φ is possible.
+
+    A wall is possible that lies in front of every sonar that answered it.
+    """
     nx, ny = math.cos(phi_rad), math.sin(phi_rad)
     total = moment = 0.0
     for i in range(readings.ranges_m.size):
@@ -45,13 +48,14 @@ def _profile(readings: Any, verdicts: Any, phi_rad: Any) -> Any:
         total += weight
         moment += weight * reported_m
     distance = moment / total
-    half_chi = 0.0
+    half_chi, in_front = 0.0, True
     for i in range(readings.ranges_m.size):
         if verdicts[i] != INLIER:
             continue
         reported_m, cos_edge = _distance_reported(readings, i, phi_rad, nx, ny)
         half_chi += 0.5 * ((reported_m - distance) / (readings.sigmas_m[i] * cos_edge)) ** 2
-    return distance, total, half_chi, distance > 0.0
+        in_front = in_front and distance > reported_m - readings.ranges_m[i] * cos_edge
+    return distance, total, half_chi, in_front
 
 
 @jit
@@ -185,7 +189,7 @@ def least_squares(readings: Any, verdicts: Any, wall: Any) -> Any:
     """
     phi, distance = wall[PHI], wall[DISTANCE]
     for _ in range(MAX_ITERATIONS):
-        s_aa = s_a = s_1 = b_a = b_1 = 0.0
+        s_aa = s_a = s_1 = b_a = b_1 = farthest = 0.0
         nx, ny = math.cos(phi), math.sin(phi)
         for i in range(readings.ranges_m.size):
             if verdicts[i] != INLIER:
@@ -195,7 +199,11 @@ def least_squares(readings: Any, verdicts: Any, wall: Any) -> Any:
             if cos_edge < MIN_COS_EDGE:
                 return False
             weight = 1.0 / (readings.sigmas_m[i] * cos_edge) ** 2
-            left = distance - nx * x - ny * y - readings.ranges_m[i] * cos_edge
+            height = distance - nx * x - ny * y
+            if height <= 0.0:
+                return False
+            left = height - readings.ranges_m[i] * cos_edge
+            farthest = max(farthest, height)
             s_aa += weight * slope * slope
             s_a += weight * slope
             s_1 += weight
@@ -207,9 +215,9 @@ def least_squares(readings: Any, verdicts: Any, wall: Any) -> Any:
         turn = (s_1 * b_a - s_a * b_1) / determinant
         shift = (s_aa * b_1 - s_a * b_a) / determinant
         phi, distance = phi + turn, distance + shift
-        if abs(wrap(phi - wall[PHI])) > math.radians(30.0) or distance <= 0.0:
+        if abs(wrap(phi - wall[PHI])) > math.radians(30.0):
             return False
-        if abs(turn) < 1e-14 and abs(shift) < 1e-14 * distance:
+        if abs(turn) < 1e-14 and abs(shift) < 1e-14 * farthest:
             break
     wall[PHI], wall[DISTANCE] = wrap(phi), distance
     wall[VAR_PHI], wall[COV], wall[VAR_DISTANCE] = s_1 / determinant, -s_a / determinant, s_aa / determinant

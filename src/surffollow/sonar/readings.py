@@ -44,6 +44,17 @@ class Readings(NamedTuple):
     max_range_m: float
 
 
+def about_their_mean(readings: Readings) -> tuple[Readings, tuple[float, float]]:
+    """The readings in a frame whose origin is the mean of the sonars' places, and that mean [m].
+
+    Linear steps and var d depend on the origin. About the mean no result depends on the frame.
+    """
+    if readings.headings_rad.size == 0:
+        return readings, (0.0, 0.0)
+    x, y = readings.positions_m.mean(axis=0)
+    return readings._replace(positions_m=readings.positions_m - (x, y)), (float(x), float(y))
+
+
 def incidence_limit(half_beam_rad: float, model: str, max_incidence_rad: float | None) -> float:
     """δ_max [rad]: as given, or α of a specular wall, or α + 90° of a diffuse one.
 

@@ -68,10 +68,13 @@ def candidate_moves(belief: Belief) -> list[tuple[float, float]]:
 
 
 def _is_clear(belief: Belief, drive_m: float) -> bool:
-    x, y, heading = belief.pose
-    x, y = x + drive_m * math.cos(heading), y + drive_m * math.sin(heading)
+    before, after = belief.pose, _pose_after(belief, 0.0, drive_m)
     room = float(np.hypot(*belief.ring.positions_m.T).max()) + WALL_MARGIN_M
-    return all(w.distance_m - x * math.cos(w.phi_rad) - y * math.sin(w.phi_rad) > room for w in belief.walls)
+    # the robot may be on either side of a wall, and stays there
+    return all(
+        w.moved(*after).distance_m * math.copysign(1.0, w.moved(*before).distance_m) > room
+        for w in belief.walls
+    )
 
 
 def _pose_after(belief: Belief, turn_rad: float, drive_m: float) -> Pose:
@@ -115,10 +118,13 @@ def _chance(belief: Belief, wall: WallPose, pose: Pose, sensors: tuple[int, ...]
     if belief.is_known(wall):
         return 1.0
     ring, known = belief.ring, 0
-    others = [(w.phi_rad, w.distance_m) for w in belief.walls if w is not wall]
+    # all about the robot's place after the move: errors of d do not depend on where the belief began
+    x, y, heading = pose
+    pose, seen = (0.0, 0.0, heading), [w.moved(x, y, 0.0) for w in belief.walls if w is not wall]
+    wall, others = wall.moved(x, y, 0.0), [(w.phi_rad, w.distance_m) for w in seen]
     positions, headings = ring.at(pose)
     index = list(sensors)
-    all_positions = np.vstack([belief.positions_m, positions[index]])
+    all_positions = np.vstack([belief.positions_m - (x, y), positions[index]])
     all_headings = np.append(belief.headings_rad, headings[index])
     verdicts = np.full(all_headings.size, UNEXPLAINED, np.int64)
     points, row = np.empty((N_POINTS, 4)), np.empty(SOLUTION)

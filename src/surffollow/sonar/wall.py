@@ -18,14 +18,17 @@ N_SIGMA = 3.0  # as for the incidences of a pair
 class WallPose:
     """One wall {x : x·cos φ + y·sin φ = d}.
 
+    φ points from the sonars that see the wall to the wall, in every frame. d is negative where the frame's
+    origin lies behind the wall.
+
     Attributes
     ----------
     phi_rad : float
-        direction of the normal, from the origin to the wall, in [−π, π)
+        direction of the normal, from the sonars to the wall, in [−π, π)
     distance_m : float
-        from the origin, > 0
+        from the origin along the normal; < 0: the origin is behind the wall
     covariance : (2, 2) ndarray
-        of (φ, d): rad², rad m, m²
+        of (φ, d): rad², rad m, m²; inf on the diagonal where the readings do not fix the wall
     sensors : tuple of int
         indices of the readings that it was computed from
     ambiguous : bool
@@ -66,6 +69,8 @@ class WallPose:
     def moved(self, x_m: float, y_m: float, heading_rad: float) -> WallPose:
         """The same wall in the frame of a pose (x, y, heading) that is given in this wall's frame.
 
+        φ keeps its sense: behind the wall d is negative.
+
         Parameters
         ----------
         x_m : float [m]
@@ -78,14 +83,18 @@ class WallPose:
         Returns
         -------
         WallPose
-            with its covariance turned
+            with its covariance: d takes part in the error of φ
         """
         n = np.array([math.cos(self.phi_rad), math.sin(self.phi_rad)])
         slope = x_m * n[1] - y_m * n[0]
         turn = np.array([[1.0, 0.0], [slope, 1.0]])
         distance = self.distance_m - float(n @ (x_m, y_m))
         phi = math.remainder(self.phi_rad - heading_rad, 2.0 * math.pi)
-        return replace(self, phi_rad=phi, distance_m=distance, covariance=turn @ self.covariance @ turn.T)
+        phi = -math.pi if phi == math.pi else phi
+        covariance = self.covariance
+        if np.isfinite(covariance).all():  # inf: unknown in every frame
+            covariance = turn @ covariance @ turn.T
+        return replace(self, phi_rad=phi, distance_m=distance, covariance=covariance)
 
 
 def mark_favoured(
@@ -103,15 +112,10 @@ def mark_favoured(
     headings_rad : (m,) array
         axes of the beams, by the walls' `sensors`
     prior : WallPose or None
-        an earlier pose of the wall that is looked for, in the walls' frame
+        an earlier pose of the wall that is looked for, in the walls' frame, whose origin is among the sonars
     reproduces : callable
         whether every reading is within its own noise of what a wall predicts: a vague
         solution of one pair agrees with anything
-
-    Raises
-    ------
-    UsageError
-        the prior's covariance is not positive definite
     """
 
     def is_before_its_sonars(wall: WallPose) -> bool:
@@ -130,8 +134,14 @@ def mark_favoured(
     return sorted(marked, key=lambda w: not w.favoured)
 
 
-def _near(prior: WallPose) -> Callable[[WallPose], bool]:
-    """Whether a wall lies within three standard deviations of a prior pose."""
+def check_prior(prior: WallPose) -> None:
+    """Refuse an earlier pose without a covariance.
+
+    Raises
+    ------
+    UsageError
+        the prior's covariance is not positive definite
+    """
     if not (
         np.isfinite(prior.covariance).all()
         and prior.covariance[0, 0] > 0.0
@@ -141,6 +151,14 @@ def _near(prior: WallPose) -> Callable[[WallPose], bool]:
             f"the prior's covariance {prior.covariance.tolist()} is not positive definite; give the "
             "uncertainty that the pose has by now (rad², rad m, m²)"
         )
+
+
+def _near(prior: WallPose) -> Callable[[WallPose], bool]:
+    """Whether a wall lies within three standard deviations of a prior pose."""
+    if prior.distance_m < 0.0:  # the sonars passed it: the same line from its other side is (φ + π, −d)
+        turned = prior.covariance * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        phi, distance = prior.phi_rad + math.pi, -prior.distance_m
+        prior = replace(prior, phi_rad=phi, distance_m=distance, covariance=turned)
 
     def near(wall: WallPose) -> bool:
         turn = math.remainder(wall.phi_rad - prior.phi_rad, 2.0 * math.pi)
