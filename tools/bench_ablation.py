@@ -154,8 +154,8 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
-    "test of the response": [("response", "elif not rises and (late or suspicious or far):", "elif False:")],
-    "shift before a hold": [("response", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
+    "test of the response": [("response", "if late or far or sign == SIGN_FOR_HOLD:", "if False:")],
+    "shift before a hold": [("constant_ranges", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
     "repeated ranges": [("repeated_ranges", "change_m > REPEAT_BAND * sigma_m", "change_m > -1.0")],
 }
 

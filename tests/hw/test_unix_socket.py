@@ -97,8 +97,8 @@ def test_a_socket_that_a_dead_service_left_is_replaced_and_nothing_else_is(tmp_p
             driver.start(ConversionQueue())
         try:
             until(lambda: drivers[left].state != WAITING, "the socket")
-            until(lambda: "another program listens there" in drivers[used].faults()[0], "the fault")
-            until(lambda: "something else is at" in drivers[plain].faults()[0], "the fault")
+            until(lambda: "another program listens there" in str(drivers[used].faults()), "the fault")
+            until(lambda: "something else is at" in str(drivers[plain].faults()), "the fault")
         finally:
             for driver in drivers.values():
                 driver.stop()

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import socket
 import struct
-import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -61,10 +59,6 @@ class Pty:
             os.close(self._slave)
             os.close(self.master)
             self.master = -1
-
-    def unread(self) -> int:
-        """Bytes that the reader has not taken; the line loses what its 4 KiB do not hold."""
-        return struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0]
 
     def write(self, data: bytes) -> None:
         with contextlib.suppress(BlockingIOError, OSError):  # no reader, or unplugged
