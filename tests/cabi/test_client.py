@@ -73,7 +73,8 @@ def test_demand_is_the_one_that_the_python_client_reads(probe: Probe, service: S
         assert c.values[0] == pytest.approx(python[2], abs=1e-3)
         python_m = until(lambda: (d := watcher.raw_distance()) > 0.0 and d, "a distance")
     c_m = probe.until("raw 0", lambda a: a.result == OK).values[0]
-    assert c_m == pytest.approx(python_m, abs=1e-3)
+    # two readings of a sensor with 0.25 mm of noise: six deviations of their difference
+    assert c_m == pytest.approx(python_m, abs=2.2e-3)
     assert c_m == pytest.approx(STANDOFF_M, abs=1e-3)
 
 
