@@ -194,7 +194,7 @@ def follow(
                 # a robot reports to the service first: its status may come an instant after the demand
                 pose = poses.at(demand.pose_t_ns) or poses.at(demand.pose_t_ns)
                 counts["without_pose"] += pose is None
-                # as old as the demand, whatever this process waited for since
+                # as old as the demand, also where this process paused behind it
                 counts["commands"] += tool.command(
                     *demand, t_ns=demand.t_ns, ref_t_ns=demand.pose_t_ns, ref_pose=pose
                 )

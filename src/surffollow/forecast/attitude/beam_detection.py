@@ -9,7 +9,7 @@ those of two others is blocked, or stuck. Without a majority the beams that see 
 import math
 
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height, half_squared_distance
-from surffollow.forecast.estimation.noise import assumed_noise_m
+from surffollow.forecast.estimation.noise import assumed_noise_m, estimated_range_noise_m
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
@@ -76,7 +76,7 @@ def observe_beams(params, adaptive, sense, pose):
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
     pose : (7,) float64  scratch
     """
-    beams, least_m = adaptive.beams, min(adaptive.noise.sigma_m, adaptive.noise.range_sigma_m)
+    beams, band_m = adaptive.beams, REPEAT_BAND * estimated_range_noise_m(adaptive.noise)
     measure_round(params, adaptive)
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
@@ -85,7 +85,7 @@ def observe_beams(params, adaptive, sense, pose):
         predict_pose(adaptive.kinematics, sense, t_ns, pose)
         x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, c, range_m)
         beams.footprint_m[3 * c], beams.footprint_m[3 * c + 1], beams.footprint_m[3 * c + 2] = x, y, z
-        changed = abs(range_m - beams.repeat_range_m[c]) > REPEAT_BAND * least_m
+        changed = abs(range_m - beams.repeat_range_m[c]) > band_m
         if changed or beams.t_ns[c] == 0 or t_ns < beams.repeat_ns[c]:
             beams.repeat_range_m[c], beams.repeat_ns[c] = range_m, t_ns
         observe_range(params, adaptive, c, t_ns, range_m, sensor_z)
@@ -237,7 +237,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     while last > 0 and beams.sorted_m[last] > highest_m:
         last -= 1
     nearest = beams.sorted_m[last]
-    # one wrong beam of six or more does not outvote the others, whatever was before
+    # one wrong beam of six or more does not count against all others, also behind a disagreement
     settled = n > 5 and agree >= n - 1
     apart = 2 * agree <= n or (beams.inconsistent != 0 and nearest > median + gate and not settled)
     if n < 4 or not begun or not apart:

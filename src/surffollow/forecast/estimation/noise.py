@@ -17,9 +17,15 @@ def assumed_noise_m(noise):
 
 
 @jit
+def estimated_range_noise_m(noise):
+    """Standard deviation of a range [m], 0 for exact ones. That of heights contains the noise of poses."""
+    return min(noise.sigma_m, noise.range_sigma_m)
+
+
+@jit
 def range_noise_m(noise):
-    """Standard deviation of a range [m]. That of the heights contains the noise of the poses, too."""
-    return max(min(noise.sigma_m, noise.range_sigma_m), MIN_NOISE_M)
+    """Standard deviation of a range that the tests of the response assume [m]: the estimate, or the floor."""
+    return max(estimated_range_noise_m(noise), MIN_NOISE_M)
 
 
 @jit

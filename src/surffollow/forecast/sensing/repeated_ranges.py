@@ -1,7 +1,7 @@
 """Ranges in a row that repeat the first of them: some sensors hold ranges, or repeat the last on a loss."""
 
 from surffollow.forecast.estimation.innovation_gate import gate_width
-from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.estimation.noise import MIN_NOISE_M, estimated_range_noise_m
 from surffollow.forecast.quantities import REPEAT_BAND
 from surffollow.forecast.sensing.mean_range import MAX_READINGS, RUN_SAMPLES
 from surffollow.shm.jit import jit
@@ -23,8 +23,7 @@ def count_repeats(params, adaptive, range_m, tool_z_m, band_m):
     tool_z_m : float64  height of the tool at its time [m]
     band_m : float64    change of the mean range that noise explains [m]
     """
-    repeats, noise = adaptive.repeats, adaptive.noise
-    sigma_m = min(noise.sigma_m, noise.range_sigma_m)
+    repeats, sigma_m = adaptive.repeats, estimated_range_noise_m(adaptive.noise)
     change_m = abs(range_m - repeats.range_m)
     if repeats.count == 0 or change_m > REPEAT_BAND * sigma_m:
         more, outlier = repeats.count - repeats.usual, change_m > gate_width(params, adaptive)

@@ -238,9 +238,8 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
         tested = response.phase != RESPONSE_RUN or response.lift_m > 0.0
         back_s = stop_s(adaptive) + number * adaptive.prediction.interval_s if tested and not begins else 0.0
         response.settled_ns = t_ns + int(1e9 * back_s)
-        if (
-            begins or abs(range_m - adaptive.run.mean_m) > BAND_SIGMAS * sigma
-        ):  # of a step the mean sees a part
+        # of a step the mean sees a part
+        if begins or abs(range_m - adaptive.run.mean_m) > BAND_SIGMAS * sigma:
             restart_mean(adaptive.run, range_m)
         _begin_run(params, adaptive, tool_z_m)
     elif response.phase == RESPONSE_RUN and adaptive.descent.tested_m > 0.0:
