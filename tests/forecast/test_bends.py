@@ -88,3 +88,17 @@ def test_stop_and_go_over_slopes_costs_no_clearance(
     )
     print(f"least clearance {ours:.3f} m, P loop {plain:.3f} m of {SPRAYER.standoff_m} m")
     assert ours > plain - 0.3 * SPRAYER.standoff_m
+
+
+def test_samples_above_an_estimate_that_falls_faster_than_the_ground_agree():
+    """GIVEN a fall of 25 % WHEN the tool starts on it THEN it stays over it: it stopped 1 stand-off above."""
+    fall, rise, length_m, tau = 0.25, 0.2, 42.4, DRONE.tau_s
+    period_m = length_m * (1.0 + fall / rise)
+
+    def ground_m(x: float, t: float) -> float:
+        u = x % period_m
+        return -fall * u if u < length_m else rise * (u - length_m) - fall * length_m
+
+    place_m = stop_and_go(3.3, 0.65 * tau, 11.0 * tau, 22.0 * tau)
+    run = follow(replace(DRONE, reading_s=0.12, sigma_m=0.0006), ground_m, 60.0, place_m=place_m, seed=2)
+    assert run.clearance_m.max() < 1.5 * DRONE.standoff_m
