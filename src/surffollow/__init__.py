@@ -48,7 +48,7 @@ def __getattr__(name: str) -> Any:
 
         return version("surffollow")
     if name == "Follower":
-        from surffollow.errors import attribute_of
+        from surffollow.extras import attribute_of
 
         return attribute_of("surffollow.follower", name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

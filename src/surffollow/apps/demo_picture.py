@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from surffollow.apps.demo_task import DemoConfig
-from surffollow.errors import FaultError, UsageError, install_command
+from surffollow.errors import FaultError, UsageError
+from surffollow.extras import install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.sim.world_surface import world_surface
 

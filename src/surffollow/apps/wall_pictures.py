@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from surffollow.apps.wall_figures import Run, distance_to_wall, straights
-from surffollow.errors import UsageError, install_command
+from surffollow.errors import UsageError
+from surffollow.extras import install_command
 from surffollow.map.formats.atomic_file import replacing
 
 COLOURS = {"avoid": "tab:red", "follow-wall": "tab:blue", "follow-wall-2": "tab:green", "go": "0.75"}

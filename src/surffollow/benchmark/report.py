@@ -12,7 +12,8 @@ from surffollow.benchmark.cell_runs import geometric_mean
 from surffollow.benchmark.methods import LIMIT, ORACLE
 from surffollow.benchmark.runner import Result, run_method, scene_of
 from surffollow.benchmark.suite import surface_labels
-from surffollow.errors import UsageError, install_command
+from surffollow.errors import UsageError
+from surffollow.extras import install_command
 
 Row = dict[str, Any]
 

@@ -13,7 +13,8 @@ from typing import Any
 import click
 
 from surffollow.cli import old_names
-from surffollow.errors import SurffollowError, UsageError, missing_library
+from surffollow.errors import SurffollowError, UsageError
+from surffollow.extras import missing_library
 
 # a disk, or a share of it, that is full or gone
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)

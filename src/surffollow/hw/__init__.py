@@ -45,6 +45,6 @@ def __getattr__(name: str) -> Any:
     """Load a name on its first use: the kernels behind a queue take a moment to import."""
     if name not in _WHERE:
         raise AttributeError(f"module 'surffollow.hw' has no attribute {name!r}")
-    from surffollow.errors import attribute_of
+    from surffollow.extras import attribute_of
 
     return attribute_of(f"surffollow.hw.{_WHERE[name]}", name)

@@ -18,7 +18,7 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     # lazily, since it loads numba, and the client library reads this package's files without
     if name == "HeightMap":
-        from surffollow.errors import attribute_of
+        from surffollow.extras import attribute_of
 
         return attribute_of("surffollow.map.height_map", name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import FaultError, UsageError, install_command
+from surffollow.errors import FaultError, UsageError
+from surffollow.extras import install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.map.formats.axis_labels import label_axis, label_plan
 

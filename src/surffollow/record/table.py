@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import FaultError, RecordingError, install_command
+from surffollow.errors import FaultError, RecordingError
+from surffollow.extras import install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.record.samples import Event
 from surffollow.record.sampling import FileSamples

@@ -81,7 +81,7 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     """Load a name on its first use."""
     if name in _HOME:
-        from surffollow.errors import attribute_of
+        from surffollow.extras import attribute_of
 
         return attribute_of(f"surffollow.scan.{_HOME[name]}", name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.errors import ScanFileError, install_command
+from surffollow.errors import ScanFileError
+from surffollow.extras import install_command
 from surffollow.map.formats.npz import DAMAGED_ARCHIVE
 from surffollow.scan.camera import Camera
 from surffollow.scan.checks import Floats, plain_file

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.errors import ScanFileError, install_command
+from surffollow.errors import ScanFileError
+from surffollow.extras import install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.map.formats.axis_labels import label_axis, label_plan
 from surffollow.map.formats.picture import shaded_relief

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surffollow.errors import ScanFileError, ScanInputError, install_command
+from surffollow.errors import ScanFileError, ScanInputError
+from surffollow.extras import install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.checks import Floats, cells_along, positive, real_array, region_of
 from surffollow.units import numbers_text

@@ -15,7 +15,7 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     """Load a name on its first use: all of them load numba."""
     if name in __all__:
-        from surffollow.errors import attribute_of
+        from surffollow.extras import attribute_of
 
         return attribute_of("surffollow.sonar.poses", name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

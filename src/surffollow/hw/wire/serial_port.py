@@ -9,7 +9,8 @@ from typing import Any
 
 import msgspec
 
-from surffollow.errors import ConfigError, DriverError, install_command
+from surffollow.errors import ConfigError, DriverError
+from surffollow.extras import install_command
 from surffollow.hw.driver import Driver, DriverInfo
 from surffollow.hw.polled import PolledDriver
 from surffollow.hw.range_settings import RangeSettings

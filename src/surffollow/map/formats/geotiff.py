@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import MapFileError, UsageError, install_command
+from surffollow.errors import MapFileError, UsageError
+from surffollow.extras import install_command
 from surffollow.map import access
 from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.map.formats.raster import Raster

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import MapFileError, install_command
+from surffollow.errors import MapFileError
+from surffollow.extras import install_command
 from surffollow.map import access
 from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.map.formats.axis_labels import label_axis, label_plan
