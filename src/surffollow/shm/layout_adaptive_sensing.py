@@ -21,6 +21,7 @@ class Kinematics(Schema):
     velocity_y_mps = F64(unit="m/s")
     speed_mps = F64(unit="m/s", doc="lateral speed")
     climb_mps = F64(unit="m/s", doc="vertical velocity")
+    coasted_m = F64(unit="m", doc="where the velocity before the newest report led its height")
     jump_ns = I64(unit="ns", doc="timestamp of the first report after a jump of the position; 0: none")
     climb_jump_ns = I64(unit="ns", doc="the same of the height")
     scatter_m = F64(unit="m", doc="usual lateral distance of a report from where the velocity leads")

@@ -10,11 +10,11 @@ import math
 
 from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height, half_squared_distance
 from surffollow.forecast.estimation.noise import assumed_noise_m, estimated_range_noise_m
+from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
-from surffollow.forecast.sensing.kinematics import predict_pose
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit, jit_inlined
@@ -82,7 +82,7 @@ def observe_beams(params, adaptive, sense, pose):
         if sense.fresh[c] == 0:
             continue
         t_ns, range_m = sense.range_t_ns[c] + adaptive.hold.shift_ns, sense.range_m[c]
-        predict_pose(adaptive.kinematics, sense, t_ns, pose)
+        predict_pose(params, adaptive, sense, t_ns, pose)
         x, y, z, sensor_z = footprint(pose, params.tool_from_sensor, c, range_m)
         beams.footprint_m[3 * c], beams.footprint_m[3 * c + 1], beams.footprint_m[3 * c + 2] = x, y, z
         changed = abs(range_m - beams.repeat_range_m[c]) > band_m

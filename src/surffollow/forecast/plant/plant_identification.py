@@ -11,9 +11,10 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.modes import learns
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose, newest_until
-from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE
+from surffollow.forecast.quantities import LONG_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
+from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.terrain.preview import suspend_preview
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
 from surffollow.shm.layout_follow import RUN_NORMAL
 
@@ -36,11 +37,12 @@ def reset_axes(params, adaptive, t_ns, z_m):
     t_ns : int64   timestamp of the pose report
     z_m : float64  reported height of the tool [m]
     """
-    kinematics, plant = adaptive.kinematics, adaptive.plant
+    climb_mps, plant = adaptive.kinematics.climb_mps, adaptive.plant
     for k in range(N_PLANTS):
-        plant.position_m[k], plant.velocity_mps[k] = z_m, kinematics.climb_mps
-    plant.axis_m, plant.axis_mps = z_m, kinematics.climb_mps
+        plant.position_m[k], plant.velocity_mps[k] = z_m, climb_mps
+    plant.axis_m, plant.axis_mps = z_m, climb_mps
     plant.t_ns = t_ns
+    plant.offset_m = plant.scatter_m = plant.coast_scatter_m = 0.0
     if plant.tau_s <= 0.0 or plant.tau_configured_s != params.plant_tau_s:
         plant.tau_s = plant.tau_configured_s = params.plant_tau_s
         plant.error_m2[:] = 0.0
@@ -157,10 +159,13 @@ def update_plant(params, adaptive, sense, inputs):
         reset_axes(params, adaptive, t, z)
         return
     e = z - plant.axis_m
+    plant.scatter_m = follow_usual(plant.scatter_m, abs(e - plant.offset_m))
+    plant.coast_scatter_m = follow_usual(plant.coast_scatter_m, abs(z - adaptive.kinematics.coasted_m))
     plant.axis_m += 0.3 * e  # gains of the observed axis per report
     plant.axis_mps += 2.0 * e
     limit = params.plant_v_max_mps
     plant.axis_mps = min(max(plant.axis_mps, -limit), limit)
+    plant.offset_m = z - plant.axis_m
     adapts = learns(params, adaptive) and params.run == RUN_NORMAL
     if not adapts or not least < axis_model.MAX_MODEL_ERROR_M:
         return
@@ -172,16 +177,36 @@ def update_plant(params, adaptive, sense, inputs):
         plant.tau_s *= math.exp(QUICK_RATE * math.log(tau / plant.tau_s))
 
 
+@jit_inlined
+def predict_pose(params, adaptive, sense, t_ns, pose):
+    """Pose of the tool at a time into `pose`; behind the newest report it is extrapolated.
+
+    The height goes where the observed axis leads it, or at constant velocity: as has been nearer to the
+    reports so far. A slow controller moves the tool by steps, which have no constant velocity.
+
+    Parameters
+    ----------
+    params, adaptive, sense : records of `Params`, `AdaptiveState`, `SenseState`
+    t_ns : int64         time of the pose
+    pose : (7,) float64  receives x y z [m], qx qy qz qw
+    """
+    plant = adaptive.plant
+    kinematics.coast_pose(adaptive.kinematics, sense, t_ns, pose)
+    if t_ns > plant.t_ns and 0.0 < plant.scatter_m < plant.coast_scatter_m:
+        pose[2] = predict_axis(params, plant, t_ns)[0] + plant.offset_m
+
+
 @jit
 def record_own_setpoint(adaptive, answered, setpoint_m):
     """Record the follower's own setpoint; `answered`: a caller in process latches it (`observe_latch`).
 
     In a service the controller latched the setpoint of the cycle before its report (`update_plant`). One
-    whose reports are rare latches between them, too.
+    whose reports are rare latches between them, too, unless it asks in steps without reading.
     """
     plant, controller, now_ns = adaptive.plant, adaptive.controller, adaptive.clock.now_ns
     plant.newest_m = setpoint_m
     since_ns = now_ns - plant.latch_ns[(plant.latches - 1) & (N_LATCHES - 1)]
     rare = plant.latches == 0 or since_ns > 2.0 * axis_model.PERIOD_S * 1e9
-    if answered or (rare and controller.period_ns == now_ns):
+    asks = 0 <= now_ns - controller.asked_ns < LONG_GAP_NS
+    if answered or (rare and not asks and controller.period_ns == now_ns):
         record_latch(plant, now_ns, setpoint_m)

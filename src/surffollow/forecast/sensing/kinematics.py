@@ -85,12 +85,30 @@ def has_jumped(kinematics, now_ns):
 
 
 @jit
+def coast_height(kinematics, sense, report, t_ns):
+    """Height of the tool at a time behind a report, at constant velocity [m]; behind MAX_GAP_NS it stays.
+
+    Parameters
+    ----------
+    kinematics, sense : records of `Kinematics`, `SenseState`
+    report : int  sequence number of the report, from 0; before the first: that one
+    t_ns : int64  the time
+    """
+    slot = max(report, 0) & (POSES - 1)
+    late_ns = min(max(t_ns - sense.pose_t_ns[slot], 0), MAX_GAP_NS)
+    return sense.pose[7 * slot + 2] + kinematics.climb_mps * late_ns * 1e-9
+
+
+@jit
 def update_kinematics(params, kinematics, sense):
     """Lateral and vertical velocity of the tool from its reports, 0 with one; returns whether it jumped."""
     if kinematics.pose_count == sense.pose_count:
         return False
     jumped = 0 < kinematics.pose_count < sense.pose_count and note_jump(params, kinematics, sense)
     kinematics.pose_count = sense.pose_count
+    kinematics.coasted_m = coast_height(
+        kinematics, sense, sense.pose_count - 2, sense.pose_t_ns[newest_pose(sense)]
+    )
     last, jump = sense.pose_count - 1, kinematics.jump_ns
     if sense.pose_t_ns[newest_pose(sense)] == jump:
         return jumped  # the velocity is that before the jump
@@ -121,8 +139,8 @@ def distance_along(kinematics, x_m, y_m):
 
 
 @jit_inlined
-def predict_pose(kinematics, sense, t_ns, pose):
-    """Pose of the tool at a time into `pose`; after the newest report it is extrapolated.
+def coast_pose(kinematics, sense, t_ns, pose):
+    """Pose of the tool at a time into `pose`; behind the newest report its velocity is constant.
 
     Parameters
     ----------
@@ -136,4 +154,4 @@ def predict_pose(kinematics, sense, t_ns, pose):
         dt = min(late, MAX_GAP_NS) * 1e-9
         pose[0] += kinematics.velocity_x_mps * dt
         pose[1] += kinematics.velocity_y_mps * dt
-        pose[2] += kinematics.climb_mps * dt
+        pose[2] = coast_height(kinematics, sense, sense.pose_count - 1, t_ns)

@@ -9,6 +9,7 @@ from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
 from surffollow.forecast.estimation import estimate, innovation_gate
 from surffollow.forecast.modes import adapts, orients
+from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import follow_usual
 from surffollow.forecast.sensing import (
@@ -61,7 +62,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
                 output.fresh &= ~(1 << c)
     elif at_rest or adaptive.latency.count > 0:
         latency_identification.observe_height(params, adaptive, sense, t, h, pose)
-        kinematics.predict_pose(adaptive.kinematics, sense, t, pose)  # the regression needs other poses
+        predict_pose(params, adaptive, sense, t, pose)  # the regression needs other poses
     travel = advance_path(params, adaptive, t, x, y, pose)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     if not at_rest:
@@ -132,7 +133,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
         t_ns -= int(adaptive.latency.correction_s * 1e9)
     delay_s, interval_s = (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.prediction.interval_s
     latency_identification.update_delay(adaptive.latency, delay_s, stamped_s, interval_s)
-    kinematics.predict_pose(adaptive.kinematics, sense, t_ns, pose)
+    predict_pose(params, adaptive, sense, t_ns, pose)
     was_stuck = response.is_unresponsive(adaptive.response)
     gap_s = health.dropout_tolerance_s(adaptive.prediction)
     if orients(params):

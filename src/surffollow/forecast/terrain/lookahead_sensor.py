@@ -3,9 +3,10 @@
 Their heights enter the terrain buffer; a sample that disagrees with the one before is left out.
 """
 
+from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import APART_M, PLAUSIBLE_SLOPE
-from surffollow.forecast.sensing.kinematics import distance_along, is_at_rest, predict_pose
+from surffollow.forecast.sensing.kinematics import distance_along, is_at_rest
 from surffollow.forecast.terrain.known_ground import disagreement_m
 from surffollow.forecast.terrain.terrain_buffer import CELL_M, store_ground
 from surffollow.shm.jit import jit
@@ -35,7 +36,7 @@ def observe_lookahead(params, adaptive, sense, pose):
         travel_m = kinematics.speed_mps * (t - lookahead.range_ns[c]) * 1e-9
         lookahead.range_ns[c] = t
         t -= int(adaptive.latency.correction_s * 1e9)
-        predict_pose(kinematics, sense, t, pose)
+        predict_pose(params, adaptive, sense, t, pose)
         x, y, z, _ = footprint(pose, params.tool_from_sensor, c, sense.range_m[c])
         dx, dy = x - sample.x_m, y - sample.y_m
         along = distance_along(kinematics, dx, dy)
