@@ -10,11 +10,6 @@ import pytest
 from surffollow.follower import Follower
 from surffollow.forecast.estimation.estimate import update_estimate
 from surffollow.forecast.estimation.model_bank import BANK
-from surffollow.forecast.plant.plant_identification import (
-    record_latch,
-    record_own_setpoint,
-    setpoint_in_force,
-)
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.sensing.latency_identification import (
     is_late,
@@ -560,15 +555,3 @@ def test_the_count_of_a_sensor_is_its_least_change_of_many():
     assert count_m(hold) == pytest.approx(count, rel=1e-9)
     reset_hold(hold)
     assert count_m(hold) == 0.0
-
-
-def test_setpoints_between_rare_reports_are_in_force_too():
-    """GIVEN no report for 50 ms WHEN periods begin every 10 ms THEN a setpoint counts from 30 ms on."""
-    a = zeros(AdaptiveState)[0]
-    plant = a["plant"]
-    record_latch(plant, 10**9, 0.1)
-    for k in range(1, 6):
-        a["clock"]["now_ns"] = a["controller"]["period_ns"] = 10**9 + 10 * k * MS
-        record_own_setpoint(a, False, 0.1 + 1e-3 * k)
-    in_force = [setpoint_in_force(plant, 10**9 + 10 * k * MS) for k in range(6)]
-    assert in_force == pytest.approx([0.1, 0.1, 0.1, 0.103, 0.103, 0.103])

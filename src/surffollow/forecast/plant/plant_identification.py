@@ -11,7 +11,7 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.modes import learns
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose, newest_until
-from surffollow.forecast.quantities import LONG_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
+from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE, follow_usual
 from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit, jit_inlined
@@ -200,13 +200,9 @@ def predict_pose(params, adaptive, sense, t_ns, pose):
 def record_own_setpoint(adaptive, answered, setpoint_m):
     """Record the follower's own setpoint; `answered`: a caller in process latches it (`observe_latch`).
 
-    In a service the controller latched the setpoint of the cycle before its report (`update_plant`). One
-    whose reports are rare latches between them, too, unless it asks in steps without reading.
+    In a service the controller latched the setpoint of the cycle before its report (`update_plant`). The
+    first one counts from the beginning.
     """
-    plant, controller, now_ns = adaptive.plant, adaptive.controller, adaptive.clock.now_ns
-    plant.newest_m = setpoint_m
-    since_ns = now_ns - plant.latch_ns[(plant.latches - 1) & (N_LATCHES - 1)]
-    rare = plant.latches == 0 or since_ns > 2.0 * axis_model.PERIOD_S * 1e9
-    asks = 0 <= now_ns - controller.asked_ns < LONG_GAP_NS
-    if answered or (rare and not asks and controller.period_ns == now_ns):
-        record_latch(plant, now_ns, setpoint_m)
+    adaptive.plant.newest_m = setpoint_m
+    if answered or adaptive.plant.latches == 0:
+        record_latch(adaptive.plant, adaptive.clock.now_ns, setpoint_m)

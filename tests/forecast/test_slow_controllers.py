@@ -1,0 +1,98 @@
+"""A controller that reports less often than its axis needs to answer: heights between two reports.
+
+The tool moves in steps of a period. Its height between two reports is where the axis model leads it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from forecast.driving import MS, Kernel, default_params
+from forecast.job_loop import Job, follow
+from surffollow.shm.layout_follow import MODE_ADAPTIVE
+
+TAU_S, STANDOFF_M = 0.1, 0.5
+ARM = Job(STANDOFF_M, TAU_S, 0.01, 0.1, 1.0, 10.0, 0.002 * STANDOFF_M, (0.15, 1.5))
+
+
+def rolling_m(seed: int):
+    """Hills of 0.1 to 0.4 stand-offs, 3 to 10 stand-offs long."""
+    rng = np.random.default_rng(seed)
+    height_m, length_m = STANDOFF_M * rng.uniform(0.1, 0.4), STANDOFF_M * rng.uniform(3.0, 10.0)
+    return lambda x, t: height_m * math.sin(2 * math.pi * x / length_m)
+
+
+@pytest.mark.parametrize("reading", [0.05, 0.2])
+@pytest.mark.parametrize("period", [1.75, 2.5, 4.0])
+def test_hills_are_followed_under_a_slow_controller(period, reading):
+    """GIVEN reports every 1.75 to 4 τ THEN the error is below 0.7 of a P loop's, and nothing swings."""
+    pose_s = period * TAU_S
+    job = replace(ARM, pose_s=pose_s, reading_s=max(0.002, round(reading * pose_s, 3)))
+    ours, plain = [], []
+    for seed in range(3):
+        speed_mps = 0.15 * STANDOFF_M / pose_s
+        run = follow(job, rolling_m(seed), 80 * pose_s, speed_mps, seed=seed)
+        ours.append(run.rms_m(job))
+        assert run.clearance_m.min() > 0.85 * STANDOFF_M
+        plain.append(follow(job, rolling_m(seed), 80 * pose_s, speed_mps, plain=True, seed=seed).rms_m(job))
+    print(f"{period} τ, reading {reading}: {np.mean(ours) / np.mean(plain):.2f} of a P loop")
+    assert np.mean(ours) < 0.7 * np.mean(plain)
+
+
+@pytest.mark.parametrize("period", [1.75, 2.5, 4.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_tool_at_rest_stays_under_a_slow_controller(period, seed):
+    """GIVEN level ground WHEN the tool rests THEN it stays within 2 % of the stand-off."""
+    pose_s = period * TAU_S
+    job = replace(ARM, pose_s=pose_s, reading_s=max(0.002, round(0.05 * pose_s, 3)))
+    run = follow(job, lambda x, t: 0.0, 40 * pose_s, seed=seed)
+    assert np.abs(run.clearance_m / STANDOFF_M - 1.0).max() < 0.02
+
+
+def rms_in_service(period_ms: int, latch_ms: int, speed_mps: float, seed: int, plain: bool) -> float:
+    """RMS error [m] of a controller that reports and latches in the cycles of a service of 1 kHz.
+
+    Its axis has τ = 40 ms; the sensor has 12 bits and reads every 4 ms. `plain`: a P loop.
+    """
+    standoff_m, zero_m, scale_m, tau_s = 0.1, 0.0508, 0.1016 / 4095, 0.04
+    params = default_params(mode=MODE_ADAPTIVE, offset_m=standoff_m, pose_timeout_ns=3 * period_ms * MS)
+    kernel, rng = Kernel(params), np.random.default_rng(seed)
+    kernel.reset(standoff_m)
+    height_m, length_m = rng.uniform(5e-3, 20e-3), rng.uniform(0.3, 1.0)
+    z = target = reported = standoff_m
+    v, demand, range_m, errors = 0.0, 0.0, standoff_m, []
+    for ms in range(8000):
+        t_ns, x, poses, conversions = 10**9 + ms * MS, speed_mps * 1e-3 * ms, [], []
+        ground_m = height_m * math.sin(2 * math.pi * x / length_m)
+        if ms % 4 == 0:
+            range_m = z - ground_m + 2e-4 * rng.standard_normal()
+            conversions = [(0, 0, 0, min(max(round((range_m - zero_m) / scale_m), 0), 4095))]
+        if ms % latch_ms == 0:
+            target = z - 0.7 * (range_m - standoff_m) if plain else reported + demand
+        if ms % period_ms == 0:
+            poses, reported = [(t_ns, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))], z
+        demand = float(kernel.step(t_ns + MS // 2, poses, conversions)["demand"][2])
+        wanted = min(max((target - z) / tau_s, -0.5), 0.5)
+        v += min(max(wanted - v, -5e-3), 5e-3)
+        z += v * 1e-3
+        if ms > 1000:
+            errors.append(z - ground_m - standoff_m)
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+@pytest.mark.parametrize("latches_between", [False, True])
+@pytest.mark.parametrize("period_ms", [40, 70, 100, 160])
+def test_hills_are_followed_under_a_slow_controller_of_a_service(period_ms, latches_between):
+    """GIVEN reports every 1 to 4 τ, latches with them or every 10 ms THEN a P loop is worse."""
+    latch_ms = 10 if latches_between else period_ms
+    ours, plain = [], []
+    for seed in range(3):
+        speed_mps = 1.2 / period_ms
+        ours.append(rms_in_service(period_ms, latch_ms, speed_mps, seed, plain=False))
+        plain.append(rms_in_service(period_ms, period_ms, speed_mps, seed, plain=True))
+    print(f"{period_ms} ms, latches every {latch_ms} ms: {np.mean(ours) / np.mean(plain):.2f} of a P loop")
+    assert np.mean(ours) < 0.5 * np.mean(plain)
