@@ -59,7 +59,7 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         if k > 10 and rng.random() < 4e-3:  # one that its ranges do not explain
             twin.descent_m = low, high = twin.mean_m - 2e-3 * rng.random(), twin.mean_m + 2e-3 * rng.random()
             descent["least_m"], descent["most_m"], descent["tested_m"] = low, high, 0.5 * (high - low)
-        observe_response(params, adaptive, t_ns, read, z, GAP_S)
+        observe_response(params, adaptive, t_ns, read, z)
         twin.observe(t_ns, read, z)
         record, repeats = adaptive["response"], adaptive["repeats"]
         assert PHASES[record["phase"]] == twin.phase, (seed, k)

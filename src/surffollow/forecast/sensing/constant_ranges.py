@@ -14,6 +14,8 @@ from surffollow.forecast.sensing.mean_range import (
     MAX_READINGS,
     RUN_SAMPLES,
     is_suspicious,
+    mean_samples,
+    range_band_m,
 )
 from surffollow.forecast.sensing.repeated_ranges import is_repeated
 from surffollow.shm.jit import jit
@@ -81,15 +83,13 @@ def observe_motion(run, tool_z_m, climb_mps):
 
 
 @jit
-def sign_of_fault(adaptive, number, motion_m, band_m):
+def sign_of_fault(adaptive, motion_m):
     """Sign of a fault in the run, and whether it is that the ranges are repeated.
 
     Parameters
     ----------
     adaptive : record of `AdaptiveState`
-    number : float64    ranges in their mean
     motion_m : float64  motion of the run that counts [m]
-    band_m : float64    change of the mean that noise explains [m]
 
     Returns
     -------
@@ -97,7 +97,7 @@ def sign_of_fault(adaptive, number, motion_m, band_m):
         NO_SIGN; SIGN_FOR_SHIFT: a slight one, or a long motion, for which the setpoint is shifted up;
         SIGN_FOR_HOLD: one for which the tool is held.
     """
-    run, tau_s = adaptive.run, adaptive.plant.tau_s
+    run, tau_s, band_m = adaptive.run, adaptive.plant.tau_s, range_band_m(adaptive)
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
@@ -108,7 +108,7 @@ def sign_of_fault(adaptive, number, motion_m, band_m):
     if wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED:
         return SIGN_FOR_HOLD, only_repeats
     # with fewer samples in τ the ground changes while an answer is awaited
-    lags = number < MAX_READINGS or error_m <= LAG_TAUS * tau_s * run.rate_mps
+    lags = mean_samples(adaptive) < MAX_READINGS or error_m <= LAG_TAUS * tau_s * run.rate_mps
     slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
         return NO_SIGN, only_repeats

@@ -10,10 +10,9 @@ neither is so, and the ground would be steep. Below the lowest ground so far suc
 
 import math
 
-from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
-from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_band_m, mean_samples
+from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_samples, range_band_m
 from surffollow.forecast.sensing.response import SWINGS, stop_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
@@ -59,7 +58,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     tool_z_m : float64   height of the tool at that time [m]
     """
     descent, number, share_m = adaptive.descent, mean_samples(adaptive), TESTED_SHARE * params.offset_m
-    band = mean_band_m(range_noise_m(adaptive.noise), number)
+    band = range_band_m(adaptive)
     if descent.t_ns == 0 or not 0 < t_ns - descent.t_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
@@ -84,36 +83,38 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     descent.error_m += (range_m - params.offset_m - descent.error_m) / newest
     descent.travel_m += adaptive.kinematics.speed_mps * interval_s
     spread_m = max(0.5 * (descent.most_m - descent.least_m), band)
-    unexplained = _is_unexplained(params, adaptive, tool_z_m, number, band, spread_m)
+    unexplained = _is_unexplained(params, adaptive, tool_z_m, spread_m)
     descent.unexplained = 1 if unexplained else 0
     # with fewer samples the answer is late, beside a greater spread it does not stand out
-    answers = number >= MAX_READINGS and spread_m < share_m and _has_room(params, adaptive, number, spread_m)
+    answers = number >= MAX_READINGS and spread_m < share_m and _has_room(params, adaptive, spread_m)
     if unexplained and answers and _is_deep(adaptive, t_ns, tool_z_m):
         descent.tested_m, descent.reach_m = spread_m, 2.0 * descent.reach_m
 
 
 @jit
-def _is_unexplained(params, adaptive, tool_z_m, number, band_m, spread_m):
+def _is_unexplained(params, adaptive, tool_z_m, spread_m):
     """Whether the mean range is too long for so long and steep a descent, as in `observe_descent`.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`
     tool_z_m : float64  height of the tool [m]
-    number : float64    ranges in their mean
-    band_m : float64    change of the mean that noise explains [m]
     spread_m : float64  half the spread of the means, the band at least [m]
     """
     descent, error_m = adaptive.descent, adaptive.descent.error_m
-    fall_m, least_m = descent.top_z_m - tool_z_m, max(band_m, LEAST_ERROR * params.offset_m)
-    long = descent.samples > 2.0 * number and error_m > least_m and fall_m > FALL_ERRORS * error_m
+    fall_m, least_m = descent.top_z_m - tool_z_m, max(range_band_m(adaptive), LEAST_ERROR * params.offset_m)
+    long = (
+        descent.samples > 2.0 * mean_samples(adaptive)
+        and error_m > least_m
+        and fall_m > FALL_ERRORS * error_m
+    )
     great = error_m * fall_m > ERROR_MOTION * spread_m * params.offset_m
     steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
     return long and great and steep and abs(adaptive.sample.lead_m) < APART_M
 
 
 @jit
-def _has_room(params, adaptive, number, spread_m):
+def _has_room(params, adaptive, spread_m):
     """Whether the spread is known, and the answer comes before falling ground leaves the sensor's window.
 
     The ground falls at the rate of the tool until the tool, which was held, follows again.
@@ -121,12 +122,11 @@ def _has_room(params, adaptive, number, spread_m):
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`
-    number : float64    ranges in their mean
     spread_m : float64  half the spread of the means [m]
     """
     estimate, interval_s = adaptive.estimate, adaptive.prediction.interval_s
     known = estimate.samples * interval_s > SPREAD_TAUS * adaptive.plant.tau_s
-    behind_s = stop_s(adaptive) + number * interval_s
+    behind_s = stop_s(adaptive) + mean_samples(adaptive) * interval_s
     farther_m = SWINGS[0] * spread_m + abs(adaptive.kinematics.climb_mps) * behind_s
     return known and adaptive.descent.error_m + farther_m < params.range_max_m - params.offset_m
 
