@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.quantities import APART_M, REPEAT_BAND
+from surffollow.forecast.quantities import APART_M, REPEAT_BAND, SLOW_RATE
 from surffollow.forecast.sensing import constant_ranges as c
 from surffollow.forecast.sensing import mean_range as m
 from surffollow.forecast.sensing import response as r
@@ -92,9 +92,9 @@ class NaiveResponse:
         self.mean_m += math.copysign(deviation_m, step_m) / self.number
         self.spread_m += (deviation_m - self.spread_m) / (2.0 * c.MIN_MEANS * self.number)
         if not self.is_quiet:
-            self.usual_m += (self.spread_m - self.usual_m) / c.USUAL_SPREAD_SAMPLES
+            self.usual_m += SLOW_RATE * (self.spread_m - self.usual_m)
         self.in_run += 1
-        if self.number < self.in_run < m.RUN_SAMPLES:
+        if self.swing_m == 0.0 and self.number < self.in_run < m.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
         self.band_m = m.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
         often = self.repeats >= max(5, REPEAT_RATIO * self.usual_repeats) and self.usual_repeats > 0.0
@@ -116,8 +116,8 @@ class NaiveResponse:
         elif self.phase == RUN and self.descent_m is not None:
             self._begin_run(z_m)
             least_m, most_m = self.descent_m
-            self.run_m, self.swing_m = 0.5 * (least_m + most_m), 0.5 * (most_m - least_m)
-            self.in_run, self.rose, self.because_repeated = m.RUN_SAMPLES, False, False
+            self.mean_m = self.run_m = 0.5 * (least_m + most_m)
+            self.swing_m, self.rose, self.because_repeated = 0.5 * (most_m - least_m), False, False
             self.phase, self.begin_ns, self.begin_z_m = HOLD, t_ns, z_m
         elif self.phase == RUN and t_ns < self.settled_ns and not self.is_repeated:
             self._begin_run(z_m)

@@ -155,9 +155,6 @@ class Descent(Schema):
     least_m = F64(unit="m", doc="least of these means; fades toward them")
     most_m = F64(unit="m", doc="greatest of these means; fades toward them")
     unexplained = I64(doc="1: the ranges do not explain the descent")
-    tested_m = F64(
-        unit="m", doc="half the spread of the ranges, if the descent is to be tested; 0: it is not"
-    )
 
 
 class Prediction(Schema):

@@ -7,7 +7,7 @@ with a sign of a fault is tested (`response`).
 """
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.quantities import APART_M
+from surffollow.forecast.quantities import APART_M, SLOW_RATE
 from surffollow.forecast.sensing.mean_range import (
     ERROR_MOTION,
     LAG_TAUS,
@@ -30,41 +30,30 @@ MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change
 SHIFT_ERROR_MOTION = ERROR_MOTION / 6.0  # from which the setpoint is shifted up …
 SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
-USUAL_SPREAD_SAMPLES = 256  # in that deviation
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 
 
 @jit
-def begin_run(params, adaptive, tool_z_m):
-    """Begin a run at the present mean range, over the present slope, for this stand-off."""
+def begin_run(params, adaptive, tool_z_m, range_m):
+    """Begin a run of ranges with this mean, over the present slope, for this stand-off."""
     run = adaptive.run
     run.slope, run.standoff_m = adaptive.estimate.slope, params.offset_m
-    run.range_m, run.samples, run.rate_mps = run.mean_m, 0, 0.0
+    run.range_m, run.mean_m, run.samples, run.rate_mps = range_m, range_m, 0, 0.0
     run.top_z_m = run.low_z_m = tool_z_m
 
 
 @jit
-def assume_range(run, range_m):
-    """Take a range as the one that the sensor reads in this run."""
-    run.range_m, run.samples = range_m, RUN_SAMPLES
-
-
-@jit
-def restart_mean(run, range_m):
-    """Begin the running mean with a range."""
-    run.mean_m = range_m
-
-
-@jit
-def update_mean(run, range_m, most_m, number):
-    """Update the mean of `number` ranges, and that of the run; a range counts by `most_m` at most."""
+def update_mean(adaptive, range_m, most_m):
+    """Update the running mean, and that of the run; a range counts by `most_m` at most."""
+    run, number = adaptive.run, mean_samples(adaptive)
     deviation_m = min(max(range_m - run.mean_m, -most_m), most_m)
     run.mean_m += deviation_m / number
     run.spread_m += (abs(deviation_m) - run.spread_m) / (2.0 * MIN_MEANS * number)
     if not is_quiet(run):  # noise far below the usual one is not learned
-        run.usual_m += (run.spread_m - run.usual_m) / USUAL_SPREAD_SAMPLES
+        run.usual_m += SLOW_RATE * (run.spread_m - run.usual_m)
     run.samples += 1
-    if number < run.samples < RUN_SAMPLES:  # its own mean is the better known one
+    # its own mean is the better known one, but in the test of a descent the middle of a spread is
+    if adaptive.response.swing_m == 0.0 and number < run.samples < RUN_SAMPLES:
         run.range_m += (run.mean_m - run.range_m) / run.samples
 
 

@@ -38,7 +38,7 @@ def begin_descent(adaptive, tool_z_m, reach_m):
 
 @jit
 def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
-    """Update the descent with a sample of channel 0: whether it is unexplained, and is to be tested.
+    """Update the descent with a sample of channel 0: whether it is unexplained, and is to be tested at once.
 
     With mean error e, fall Δz, spread ±B of the ranges, stand-off s₀, RMS slope m before the descent and the
     distance d travelled it is unexplained if
@@ -56,6 +56,10 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     t_ns : int64         timestamp
     range_m : float64    range [m]
     tool_z_m : float64   height of the tool at that time [m]
+
+    Returns
+    -------
+    float64  half the spread ±B of the ranges, if the descent is to be tested [m]; 0: it is not
     """
     descent, number, share_m = adaptive.descent, mean_samples(adaptive), TESTED_SHARE * params.offset_m
     band = range_band_m(adaptive)
@@ -63,10 +67,10 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
         begin_descent(adaptive, tool_z_m, share_m)
-    descent.t_ns, descent.tested_m = t_ns, 0.0
+    descent.t_ns = t_ns
     if adaptive.response.swing_m > 0.0:  # in its test
         begin_descent(adaptive, tool_z_m, descent.reach_m)
-        return
+        return 0.0
     interval_s = adaptive.prediction.interval_s
     fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
     descent.range_m += (range_m - descent.range_m) / number
@@ -87,8 +91,10 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     descent.unexplained = 1 if unexplained else 0
     # with fewer samples the answer is late, beside a greater spread it does not stand out
     answers = number >= MAX_READINGS and spread_m < share_m and _has_room(params, adaptive, spread_m)
-    if unexplained and answers and _is_deep(adaptive, t_ns, tool_z_m):
-        descent.tested_m, descent.reach_m = spread_m, 2.0 * descent.reach_m
+    if not (unexplained and answers and _is_deep(adaptive, t_ns, tool_z_m)):
+        return 0.0
+    descent.reach_m *= 2.0
+    return spread_m
 
 
 @jit
@@ -144,4 +150,3 @@ def _is_deep(adaptive, t_ns, tool_z_m):
 def reset_descent(descent):
     """Begin anew with the next sample."""
     descent.t_ns = descent.unexplained = 0
-    descent.tested_m = 0.0

@@ -135,8 +135,8 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     was_stuck = response.is_unresponsive(adaptive.response)
     if orients(params):
         range_m = rotation_response.mean_range(params, adaptive.beams, t_ns, range_m)
-    response.observe_response(params, adaptive, t_ns, range_m, pose[2])
-    descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
+    spread_m = descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
+    response.observe_response(params, adaptive, t_ns, range_m, pose[2], spread_m)
     responds = not response.is_unresponsive(adaptive.response)
     if was_stuck and responds:
         estimate.discard_estimate(adaptive.estimate)

@@ -15,10 +15,8 @@ from surffollow.forecast.quantities import MAX_GAP_NS, tolerated_gap_s
 from surffollow.forecast.sensing.constant_ranges import (
     MIN_MEANS,
     MOTION_BANDS,
-    assume_range,
     begin_run,
     observe_motion,
-    restart_mean,
     sign_of_fault,
     update_mean,
 )
@@ -55,10 +53,10 @@ ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on g
 
 
 @jit
-def _begin_run(params, adaptive, tool_z_m):
-    """Begin a run of constant ranges, without a test."""
+def _begin_run(params, adaptive, tool_z_m, range_m):
+    """Begin a run of constant ranges with this mean, without a test."""
     response = adaptive.response
-    begin_run(params, adaptive, tool_z_m)
+    begin_run(params, adaptive, tool_z_m, range_m)
     response.phase, response.lift_m, response.swing_m = RESPONSE_RUN, 0.0, 0.0
 
 
@@ -135,12 +133,11 @@ def _update_run(params, adaptive, tool_z_m):
 
 
 @jit
-def _test_descent(params, adaptive, tool_z_m):
+def _test_descent(params, adaptive, tool_z_m, spread_m):
     """Hold the tool in a descent that the ranges do not explain; the middle of their spread must change."""
     response, descent = adaptive.response, adaptive.descent
-    _begin_run(params, adaptive, tool_z_m)
-    assume_range(adaptive.run, 0.5 * (descent.most_m + descent.least_m))
-    response.swing_m = descent.tested_m
+    _begin_run(params, adaptive, tool_z_m, 0.5 * (descent.most_m + descent.least_m))
+    response.swing_m = spread_m
     response.rises = response.repeated = 0
     _begin_phase(response, RESPONSE_HOLD, tool_z_m)
 
@@ -202,7 +199,7 @@ def _update_test(params, adaptive, tool_z_m):
     if response.repeated != 0 or (applied and obeyed):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
-        _begin_run(params, adaptive, tool_z_m)
+        _begin_run(params, adaptive, tool_z_m, adaptive.run.mean_m)
 
 
 @jit
@@ -218,7 +215,7 @@ def _responds(adaptive):
 
 
 @jit_inlined
-def observe_response(params, adaptive, t_ns, range_m, tool_z_m):
+def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     """Update the test with a sample of channel 0.
 
     Parameters
@@ -227,6 +224,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m):
     t_ns : int64        timestamp
     range_m : float64   range [m]
     tool_z_m : float64  height of the tool at that time [m]
+    spread_m : float64  half the spread of the ranges in a descent that is to be tested [m]; 0: none
     """
     response, number, interval_s = adaptive.response, mean_samples(adaptive), adaptive.prediction.interval_s
     noise_m = BAND_SIGMAS * range_noise_m(adaptive.noise)
@@ -235,20 +233,20 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m):
         response.test_ns = t_ns  # an answer takes time with samples
     response.t_ns = t_ns
     count_repeats(params, adaptive, range_m, tool_z_m)
-    update_mean(adaptive.run, range_m, max(noise_m, SWINGS[0] * response.swing_m), number)
+    update_mean(adaptive, range_m, max(noise_m, SWINGS[0] * response.swing_m))
+    mean_m, in_run = adaptive.run.mean_m, response.phase == RESPONSE_RUN
     if begins or _responds(adaptive):
-        tested = response.phase != RESPONSE_RUN or response.lift_m > 0.0
+        tested = not in_run or response.lift_m > 0.0
         back_s = stop_s(adaptive) + number * interval_s if tested and not begins else 0.0
         response.settled_ns = t_ns + int(1e9 * back_s)
         # of a step the mean sees a part
-        if begins or abs(range_m - adaptive.run.mean_m) > noise_m:
-            restart_mean(adaptive.run, range_m)
-        _begin_run(params, adaptive, tool_z_m)
-    elif response.phase == RESPONSE_RUN and adaptive.descent.tested_m > 0.0:
-        _test_descent(params, adaptive, tool_z_m)
-    elif response.phase == RESPONSE_RUN and t_ns < response.settled_ns and not is_repeated(adaptive.repeats):
-        _begin_run(params, adaptive, tool_z_m)  # the tool is on its way back from a test
-    elif response.phase == RESPONSE_RUN:
+        step = begins or abs(range_m - mean_m) > noise_m
+        _begin_run(params, adaptive, tool_z_m, range_m if step else mean_m)
+    elif in_run and spread_m > 0.0:
+        _test_descent(params, adaptive, tool_z_m, spread_m)
+    elif in_run and t_ns < response.settled_ns and not is_repeated(adaptive.repeats):
+        _begin_run(params, adaptive, tool_z_m, mean_m)  # the tool is on its way back from a test
+    elif in_run:
         _update_run(params, adaptive, tool_z_m)
     elif response.phase != RESPONSE_FAILED:
         _update_test(params, adaptive, tool_z_m)
