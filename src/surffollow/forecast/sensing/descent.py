@@ -13,7 +13,7 @@ import math
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
 from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_samples, range_band_m
-from surffollow.forecast.sensing.response import SWINGS, stop_s
+from surffollow.forecast.sensing.response import SWINGS, answer_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
@@ -89,9 +89,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     spread_m = max(0.5 * (descent.most_m - descent.least_m), band)
     unexplained = _is_unexplained(params, adaptive, tool_z_m, spread_m)
     descent.unexplained = 1 if unexplained else 0
-    # with fewer samples the answer is late, beside a greater spread it does not stand out
-    answers = number >= MAX_READINGS and spread_m < share_m and _has_room(params, adaptive, spread_m)
-    if not (unexplained and answers and _is_deep(adaptive, t_ns, tool_z_m)):
+    if not unexplained or not _is_testable(params, adaptive, tool_z_m, spread_m):
         return 0.0
     descent.reach_m *= 2.0
     return spread_m
@@ -108,42 +106,35 @@ def _is_unexplained(params, adaptive, tool_z_m, spread_m):
     spread_m : float64  half the spread of the means, the band at least [m]
     """
     descent, error_m = adaptive.descent, adaptive.descent.error_m
-    fall_m, least_m = descent.top_z_m - tool_z_m, max(range_band_m(adaptive), LEAST_ERROR * params.offset_m)
-    long = (
-        descent.samples > 2.0 * mean_samples(adaptive)
-        and error_m > least_m
-        and fall_m > FALL_ERRORS * error_m
-    )
+    fall_m = descent.top_z_m - tool_z_m
+    least_m = max(range_band_m(adaptive), LEAST_ERROR * params.offset_m)
+    known = descent.samples > 2.0 * mean_samples(adaptive)
+    long = known and error_m > least_m and fall_m > FALL_ERRORS * error_m
     great = error_m * fall_m > ERROR_MOTION * spread_m * params.offset_m
     steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
     return long and great and steep and abs(adaptive.sample.lead_m) < APART_M
 
 
 @jit
-def _has_room(params, adaptive, spread_m):
-    """Whether the spread is known, and the answer comes before falling ground leaves the sensor's window.
+def _is_testable(params, adaptive, tool_z_m, spread_m):
+    """Whether an unexplained descent is to be tested, as in `observe_descent`.
 
-    The ground falls at the rate of the tool until the tool, which was held, follows again.
+    The answer must stand out from the spread, and come in time: with few samples it is late. The ground falls
+    at the rate of the tool until the tool, which was held, follows again.
 
     Parameters
     ----------
-    params, adaptive : records of `Params`, `AdaptiveState`
-    spread_m : float64  half the spread of the means [m]
+    params, adaptive, tool_z_m, spread_m : as in `_is_unexplained`
     """
-    estimate, interval_s = adaptive.estimate, adaptive.prediction.interval_s
-    known = estimate.samples * interval_s > SPREAD_TAUS * adaptive.plant.tau_s
-    behind_s = stop_s(adaptive) + mean_samples(adaptive) * interval_s
-    farther_m = SWINGS[0] * spread_m + abs(adaptive.kinematics.climb_mps) * behind_s
-    return known and adaptive.descent.error_m + farther_m < params.range_max_m - params.offset_m
-
-
-@jit
-def _is_deep(adaptive, t_ns, tool_z_m):
-    """Whether the tool falls below the lowest ground, more steeply than that did, and is in no test."""
-    descent, response = adaptive.descent, adaptive.response
+    descent, response, estimate = adaptive.descent, adaptive.response, adaptive.estimate
+    known = estimate.samples * adaptive.prediction.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
+    narrow = mean_samples(adaptive) >= MAX_READINGS and spread_m < TESTED_SHARE * params.offset_m
+    farther_m = SWINGS[0] * spread_m + abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, 1.0)
+    has_room = descent.error_m + farther_m < params.range_max_m - params.offset_m
     steeper = descent.top_z_m - tool_z_m > STEEPER * descent.slope * descent.travel_m
-    idle = response.phase == RESPONSE_RUN and t_ns >= response.settled_ns
-    return steeper and tool_z_m < descent.floor_z_m - descent.reach_m and idle
+    deep = steeper and tool_z_m < descent.floor_z_m - descent.reach_m
+    idle = response.phase == RESPONSE_RUN and descent.t_ns >= response.settled_ns
+    return known and narrow and has_room and deep and idle
 
 
 @jit

@@ -12,14 +12,8 @@ must then change by more than it varied.
 
 from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.quantities import MAX_GAP_NS, tolerated_gap_s
-from surffollow.forecast.sensing.constant_ranges import (
-    MIN_MEANS,
-    MOTION_BANDS,
-    begin_run,
-    observe_motion,
-    sign_of_fault,
-    update_mean,
-)
+from surffollow.forecast.sensing import constant_ranges
+from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.mean_range import (
     BAND_SIGMAS,
     MIN_READINGS,
@@ -56,7 +50,7 @@ ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on g
 def _begin_run(params, adaptive, tool_z_m, range_m):
     """Begin a run of constant ranges with this mean, without a test."""
     response = adaptive.response
-    begin_run(params, adaptive, tool_z_m, range_m)
+    constant_ranges.begin_run(params, adaptive, tool_z_m, range_m)
     response.phase, response.lift_m, response.swing_m = RESPONSE_RUN, 0.0, 0.0
 
 
@@ -86,14 +80,15 @@ def _begin_lift(params, adaptive, tool_z_m, lift_m):
     begun_z_m = run.low_z_m if response.rises != 0 else run.top_z_m
     room_m = params.range_max_m - run.range_m
     seen_z_m = begun_z_m + max(room_m - MARGIN * standoff_m, 0.5 * room_m)
-    least_z_m = tool_z_m + lift_m + run.rate_mps * _answer_s(adaptive)
+    least_z_m = tool_z_m + lift_m + run.rate_mps * answer_s(adaptive, MIN_MEANS)
     response.ceiling_z_m = max(min(tool_z_m + MAX_RISE * standoff_m, seen_z_m), least_z_m)
 
 
 @jit
-def stop_s(adaptive):
-    """Time from the sample that causes a hold or a shift until the tool has obeyed [s]."""
-    return adaptive.latency.delay_s + STOP_TAUS * adaptive.plant.tau_s
+def answer_s(adaptive, means):
+    """Time from a hold or a shift until so many mean ranges are of a tool that has obeyed [s]."""
+    obeyed_s = adaptive.latency.delay_s + STOP_TAUS * adaptive.plant.tau_s
+    return obeyed_s + means * mean_samples(adaptive) * adaptive.prediction.interval_s
 
 
 @jit
@@ -109,13 +104,13 @@ def _update_run(params, adaptive, tool_z_m):
     """
     response, run = adaptive.response, adaptive.run
     number, band_m = mean_samples(adaptive), range_band_m(adaptive)
-    descent, ascent = observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
+    descent, ascent = constant_ranges.observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
     ascent *= ASCENT_SHARE
     rises = ascent > descent and descent < band_m  # it has not turned down since
     sparse = number <= MIN_READINGS  # the ground changes while an answer is awaited
     if run.samples <= MIN_MEANS * number or (rises and sparse and not is_repeated(adaptive.repeats)):
         return
-    sign, repeated = sign_of_fault(adaptive, ascent if rises else descent)
+    sign, repeated = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
     response.rises, response.repeated = 1 if rises else 0, 1 if repeated else 0
     if sign != NO_SIGN and response.lift_m == 0.0 and run.samples > 2.0 * MIN_MEANS * number:
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, response.t_ns
@@ -143,16 +138,10 @@ def _test_descent(params, adaptive, tool_z_m, spread_m):
 
 
 @jit
-def _answer_s(adaptive):
-    """Time in which the mean range answers a shift or a lift [s]."""
-    return stop_s(adaptive) + MIN_MEANS * mean_samples(adaptive) * adaptive.prediction.interval_s
-
-
-@jit
 def _late_s(adaptive):
     """Time for which the answer to the present shift, hold or lift is late [s]."""
     response = adaptive.response
-    return (response.t_ns - response.test_ns) * 1e-9 - _answer_s(adaptive)
+    return (response.t_ns - response.test_ns) * 1e-9 - answer_s(adaptive, MIN_MEANS)
 
 
 @jit
@@ -226,18 +215,17 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     tool_z_m : float64  height of the tool at that time [m]
     spread_m : float64  half the spread of the ranges in a descent that is to be tested [m]; 0: none
     """
-    response, number, interval_s = adaptive.response, mean_samples(adaptive), adaptive.prediction.interval_s
-    noise_m = BAND_SIGMAS * range_noise_m(adaptive.noise)
+    response, noise_m = adaptive.response, BAND_SIGMAS * range_noise_m(adaptive.noise)
     begins = response.t_ns == 0 or t_ns < response.t_ns
-    if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(interval_s, MAX_GAP_NS):
+    if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s, MAX_GAP_NS):
         response.test_ns = t_ns  # an answer takes time with samples
     response.t_ns = t_ns
     count_repeats(params, adaptive, range_m, tool_z_m)
-    update_mean(adaptive, range_m, max(noise_m, SWINGS[0] * response.swing_m))
+    constant_ranges.update_mean(adaptive, range_m, max(noise_m, SWINGS[0] * response.swing_m))
     mean_m, in_run = adaptive.run.mean_m, response.phase == RESPONSE_RUN
     if begins or _responds(adaptive):
         tested = not in_run or response.lift_m > 0.0
-        back_s = stop_s(adaptive) + number * interval_s if tested and not begins else 0.0
+        back_s = answer_s(adaptive, 1.0) if tested and not begins else 0.0
         response.settled_ns = t_ns + int(1e9 * back_s)
         # of a step the mean sees a part
         step = begins or abs(range_m - mean_m) > noise_m
