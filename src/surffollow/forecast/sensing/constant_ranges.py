@@ -73,7 +73,7 @@ def observe_motion(run, tool_z_m, climb_mps):
 
 @jit
 def sign_of_fault(adaptive, motion_m):
-    """Sign of a fault in the run, and whether it is that the ranges are repeated.
+    """Sign of a fault in the run.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def sign_of_fault(adaptive, motion_m):
 
     Returns
     -------
-    int, bool
+    int
         NO_SIGN; SIGN_FOR_SHIFT: a slight one, or a long motion, for which the setpoint is shifted up;
         SIGN_FOR_HOLD: one for which the tool is held.
     """
@@ -91,14 +91,13 @@ def sign_of_fault(adaptive, motion_m):
     below = abs(adaptive.sample.lead_m) < APART_M
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
     wrong = is_suspicious(error_m, motion_m, run.rate_mps, band_m, tau_s, run.standoff_m)
-    only_repeats = repeats and not (wrong or quiet)
     if motion_m <= MOTION_BANDS * band_m:  # it hides in the noise
-        return NO_SIGN, only_repeats
+        return NO_SIGN
     if wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED:
-        return SIGN_FOR_HOLD, only_repeats
+        return SIGN_FOR_HOLD
     # with fewer samples in τ the ground changes while an answer is awaited
     lags = mean_samples(adaptive) < MAX_READINGS or error_m <= LAG_TAUS * tau_s * run.rate_mps
     slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
-        return NO_SIGN, only_repeats
-    return SIGN_FOR_SHIFT, only_repeats
+        return NO_SIGN
+    return SIGN_FOR_SHIFT

@@ -110,8 +110,8 @@ def _update_run(params, adaptive, tool_z_m):
     sparse = number <= MIN_READINGS  # the ground changes while an answer is awaited
     if run.samples <= MIN_MEANS * number or (rises and sparse and not is_repeated(adaptive.repeats)):
         return
-    sign, repeated = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
-    response.rises, response.repeated = 1 if rises else 0, 1 if repeated else 0
+    sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
+    response.rises = 1 if rises else 0
     if sign != NO_SIGN and response.lift_m == 0.0 and run.samples > 2.0 * MIN_MEANS * number:
         response.lift_m, response.test_ns = SHIFT_BANDS * band_m, response.t_ns
     late = response.lift_m > 0.0 and _late_s(adaptive) > 0.0
@@ -133,7 +133,7 @@ def _test_descent(params, adaptive, tool_z_m, spread_m):
     response, descent = adaptive.response, adaptive.descent
     _begin_run(params, adaptive, tool_z_m, 0.5 * (descent.most_m + descent.least_m))
     response.swing_m = spread_m
-    response.rises = response.repeated = 0
+    response.rises = 0
     _begin_phase(response, RESPONSE_HOLD, tool_z_m)
 
 
@@ -184,8 +184,7 @@ def _update_test(params, adaptive, tool_z_m):
     if rises and below_m < allowed_m:  # one that another controller leads climbs farther
         obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * adaptive.run.rate_mps
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
-    response.repeated = 1 if is_repeated(adaptive.repeats) else 0
-    if response.repeated != 0 or (applied and obeyed):
+    if is_repeated(adaptive.repeats) or (applied and obeyed):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
         _begin_run(params, adaptive, tool_z_m, adaptive.run.mean_m)
@@ -193,14 +192,13 @@ def _update_test(params, adaptive, tool_z_m):
 
 @jit
 def _responds(adaptive):
-    """Whether the mean range has left the band of the run, or a range that was repeated has changed."""
+    """Whether the mean range has left the band of the run, or one that was repeated changes in a test."""
     response, run, band_m = adaptive.response, adaptive.run, range_band_m(adaptive)
+    change_m = abs(run.mean_m - run.range_m)
     if response.phase == RESPONSE_RUN:
-        least_m, changed = band_m, False
-    else:
-        least_m = max(TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
-        changed = response.repeated != 0 and adaptive.repeats.count == 1
-    return abs(run.mean_m - run.range_m) > least_m or changed
+        return change_m > band_m
+    least_m = max(TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
+    return change_m > least_m or adaptive.repeats.ended != 0
 
 
 @jit_inlined
