@@ -168,8 +168,8 @@ def _update_test(params, adaptive, tool_z_m):
     response, rises = adaptive.response, adaptive.response.rises != 0
     lead_m = _excess_lead_m(adaptive, tool_z_m)
     if rises:  # under a constant range the setpoint oscillates: the mean of four means of ranges counts
-        missing_m = lead_m - response.lead_m
-        response.missing_m += (missing_m - response.missing_m) / (2.0 * MIN_MEANS * mean_samples(adaptive))
+        number = 2.0 * MIN_MEANS * mean_samples(adaptive)
+        response.missing_m += (lead_m - response.lead_m - response.missing_m) / number
     late_s, longest_s = _late_s(adaptive), ANSWER_TAUS * adaptive.plant.tau_s
     if late_s <= (longest_s if rises else 0.0):
         return
@@ -177,10 +177,10 @@ def _update_test(params, adaptive, tool_z_m):
         lift_m = max(MOTION_BANDS * range_band_m(adaptive), SWINGS[1] * response.swing_m)
         _begin_lift(params, adaptive, tool_z_m, lift_m)
         return
-    if not rises:  # it is there, and follows the setpoint
-        response.missing_m = max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
-    allowed_m = OBEYED[response.rises] * response.lift_m
-    obeyed, below_m = response.missing_m < allowed_m, response.ceiling_z_m - tool_z_m
+    allowed_m, below_m = OBEYED[response.rises] * response.lift_m, response.ceiling_z_m - tool_z_m
+    # behind a descent: it is there, and follows the setpoint
+    missing_m = response.missing_m if rises else max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
+    obeyed = missing_m < allowed_m
     if rises and below_m < allowed_m:  # one that another controller leads climbs farther
         obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * adaptive.run.rate_mps
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
