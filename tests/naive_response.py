@@ -187,7 +187,7 @@ class NaiveResponse:
             self._lift(t_ns, z_m, max(c.MOTION_BANDS * self.band_m, r.SWINGS[1] * self.swing_m))
             return
         missing_m = self.misses_m if self.rose else max(self.begin_z_m + self.lift_m - z_m, self._lead_m(z_m))
-        allowed_m = (0.65 if self.rose else 0.5) * self.lift_m
+        allowed_m = r.OBEYED * self.lift_m
         obeyed = missing_m < allowed_m
         if self.rose and z_m > self.highest_m - allowed_m:
             stands = abs(self.climb_mps) < 0.5 * math.fsum(self.rates_mps) / len(self.rates_mps)

@@ -11,8 +11,8 @@ neither is so, and the ground would be steep. Below the lowest ground so far suc
 import math
 
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
+from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
-from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_samples, range_band_m
 from surffollow.forecast.sensing.response import SWINGS, answer_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
@@ -20,7 +20,7 @@ from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 RETURN_SHARE = 0.1  # of a fall: a tool that has risen by more begins another descent
 FALL_ERRORS = 3.0  # mean errors in a fall over ground that stays: two at most
 LEAST_ERROR = 0.02  # of the stand-off: less takes a descent of fifty errors or more to the ground
-ERROR_MEANS = 8.0  # mean ranges in the mean error
+ERROR_MEANS = 8.0  # mean ranges in the mean error: with more a slow sensor is named later
 SPREAD_TAUS = 50.0  # in which the spread of the ranges fades
 STEEPER = 2.0  # than the RMS slope before the descent: ground that was steep may fall as steeply
 TESTED_SHARE = 0.1  # of the stand-off below the lowest ground; and of a spread that an answer can exceed
@@ -61,8 +61,9 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     -------
     float64  half the spread ±B of the ranges, if the descent is to be tested [m]; 0: it is not
     """
-    descent, number, share_m = adaptive.descent, mean_samples(adaptive), TESTED_SHARE * params.offset_m
-    band = range_band_m(adaptive)
+    descent, interval_s = adaptive.descent, adaptive.prediction.interval_s
+    number, band = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
+    share_m = TESTED_SHARE * params.offset_m
     if descent.t_ns == 0 or not 0 < t_ns - descent.t_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
@@ -71,7 +72,6 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     if adaptive.response.swing_m > 0.0:  # in its test
         begin_descent(adaptive, tool_z_m, descent.reach_m)
         return 0.0
-    interval_s = adaptive.prediction.interval_s
     fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
     descent.range_m += (range_m - descent.range_m) / number
     descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)
@@ -107,10 +107,10 @@ def _is_unexplained(params, adaptive, tool_z_m, spread_m):
     """
     descent, error_m = adaptive.descent, adaptive.descent.error_m
     fall_m = descent.top_z_m - tool_z_m
-    least_m = max(range_band_m(adaptive), LEAST_ERROR * params.offset_m)
-    known = descent.samples > 2.0 * mean_samples(adaptive)
+    least_m = max(mean_range.range_band_m(adaptive), LEAST_ERROR * params.offset_m)
+    known = descent.samples > 2.0 * mean_range.mean_samples(adaptive)
     long = known and error_m > least_m and fall_m > FALL_ERRORS * error_m
-    great = error_m * fall_m > ERROR_MOTION * spread_m * params.offset_m
+    great = error_m * fall_m > mean_range.ERROR_MOTION * spread_m * params.offset_m
     steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
     return long and great and steep and abs(adaptive.sample.lead_m) < APART_M
 
@@ -128,13 +128,14 @@ def _is_testable(params, adaptive, tool_z_m, spread_m):
     """
     descent, response, estimate = adaptive.descent, adaptive.response, adaptive.estimate
     known = estimate.samples * adaptive.prediction.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
-    narrow = mean_samples(adaptive) >= MAX_READINGS and spread_m < TESTED_SHARE * params.offset_m
+    quick = mean_range.mean_samples(adaptive) >= mean_range.MAX_READINGS
+    narrow = spread_m < TESTED_SHARE * params.offset_m
     farther_m = SWINGS[0] * spread_m + abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, 1.0)
     has_room = descent.error_m + farther_m < params.range_max_m - params.offset_m
     steeper = descent.top_z_m - tool_z_m > STEEPER * descent.slope * descent.travel_m
     deep = steeper and tool_z_m < descent.floor_z_m - descent.reach_m
     idle = response.phase == RESPONSE_RUN and descent.t_ns >= response.settled_ns
-    return known and narrow and has_room and deep and idle
+    return known and quick and narrow and has_room and deep and idle
 
 
 @jit

@@ -12,15 +12,8 @@ must then change by more than it varied.
 
 from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.quantities import MAX_GAP_NS, tolerated_gap_s
-from surffollow.forecast.sensing import constant_ranges
+from surffollow.forecast.sensing import constant_ranges, mean_range
 from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
-from surffollow.forecast.sensing.mean_range import (
-    BAND_SIGMAS,
-    MIN_READINGS,
-    TEST_BAND_FACTOR,
-    mean_samples,
-    range_band_m,
-)
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import (
@@ -40,7 +33,7 @@ SWINGS = (3.0, 4.5)
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
 # of a lift: a tool that misses less has obeyed it. In an ascent the setpoint of one that does not obey stays
 # ahead by all of it
-OBEYED = (0.5, 0.65)
+OBEYED = 0.65
 MAX_RISE = 3.0  # stand-offs that a range without response may lead the tool up in a lift …
 MARGIN = 0.5  # … and of the stand-off, kept to the end of the window for uneven ground
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
@@ -88,7 +81,7 @@ def _begin_lift(params, adaptive, tool_z_m, lift_m):
 def answer_s(adaptive, means):
     """Time from a hold or a shift until so many mean ranges are of a tool that has obeyed [s]."""
     obeyed_s = adaptive.latency.delay_s + STOP_TAUS * adaptive.plant.tau_s
-    return obeyed_s + means * mean_samples(adaptive) * adaptive.prediction.interval_s
+    return obeyed_s + means * mean_range.mean_samples(adaptive) * adaptive.prediction.interval_s
 
 
 @jit
@@ -103,11 +96,11 @@ def _update_run(params, adaptive, tool_z_m):
     tool_z_m : float64  height of the tool at the newest sample [m]
     """
     response, run = adaptive.response, adaptive.run
-    number, band_m = mean_samples(adaptive), range_band_m(adaptive)
+    number, band_m = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
     descent, ascent = constant_ranges.observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
     ascent *= ASCENT_SHARE
     rises = ascent > descent and descent < band_m  # it has not turned down since
-    sparse = number <= MIN_READINGS  # the ground changes while an answer is awaited
+    sparse = number <= mean_range.MIN_READINGS  # the ground changes while an answer is awaited
     if run.samples <= MIN_MEANS * number or (rises and sparse and not is_repeated(adaptive.repeats)):
         return
     sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
@@ -168,16 +161,16 @@ def _update_test(params, adaptive, tool_z_m):
     response, rises = adaptive.response, adaptive.response.rises != 0
     lead_m = _excess_lead_m(adaptive, tool_z_m)
     if rises:  # under a constant range the setpoint oscillates: the mean of four means of ranges counts
-        number = 2.0 * MIN_MEANS * mean_samples(adaptive)
+        number = 2.0 * MIN_MEANS * mean_range.mean_samples(adaptive)
         response.missing_m += (lead_m - response.lead_m - response.missing_m) / number
     late_s, longest_s = _late_s(adaptive), ANSWER_TAUS * adaptive.plant.tau_s
     if late_s <= (longest_s if rises else 0.0):
         return
     if response.phase == RESPONSE_HOLD:
-        lift_m = max(MOTION_BANDS * range_band_m(adaptive), SWINGS[1] * response.swing_m)
+        lift_m = max(MOTION_BANDS * mean_range.range_band_m(adaptive), SWINGS[1] * response.swing_m)
         _begin_lift(params, adaptive, tool_z_m, lift_m)
         return
-    allowed_m, below_m = OBEYED[response.rises] * response.lift_m, response.ceiling_z_m - tool_z_m
+    allowed_m, below_m = OBEYED * response.lift_m, response.ceiling_z_m - tool_z_m
     # behind a descent: it is there, and follows the setpoint
     missing_m = response.missing_m if rises else max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
     obeyed = missing_m < allowed_m
@@ -193,11 +186,11 @@ def _update_test(params, adaptive, tool_z_m):
 @jit
 def _responds(adaptive):
     """Whether the mean range has left the band of the run, or one that was repeated changes in a test."""
-    response, run, band_m = adaptive.response, adaptive.run, range_band_m(adaptive)
+    response, run, band_m = adaptive.response, adaptive.run, mean_range.range_band_m(adaptive)
     change_m = abs(run.mean_m - run.range_m)
     if response.phase == RESPONSE_RUN:
         return change_m > band_m
-    least_m = max(TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
+    least_m = max(mean_range.TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
     return change_m > least_m or adaptive.repeats.ended != 0
 
 
@@ -213,7 +206,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     tool_z_m : float64  height of the tool at that time [m]
     spread_m : float64  half the spread of the ranges in a descent that is to be tested [m]; 0: none
     """
-    response, noise_m = adaptive.response, BAND_SIGMAS * range_noise_m(adaptive.noise)
+    response, noise_m = adaptive.response, mean_range.BAND_SIGMAS * range_noise_m(adaptive.noise)
     begins = response.t_ns == 0 or t_ns < response.t_ns
     if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s, MAX_GAP_NS):
         response.test_ns = t_ns  # an answer takes time with samples
