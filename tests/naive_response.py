@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.quantities import APART_M, REPEAT_BAND
+from surffollow.forecast.quantities import APART_M, REPEAT_BAND, SLOW_RATE
 from surffollow.forecast.sensing import constant_ranges as c
 from surffollow.forecast.sensing import mean_range as m
 from surffollow.forecast.sensing import response as r
@@ -33,7 +33,7 @@ class NaiveResponse:
     phase: str = RUN
     readings: list[float] = field(default_factory=list)
     last_ns: int | None = None
-    because_repeated: bool = False
+    ended: bool = False
     settled_ns: int = 0
     repeats: int = 0
     usual_repeats: float = 0.0
@@ -56,6 +56,7 @@ class NaiveResponse:
         self.shift_ns, self.lift_m, self.swing_m = None, 0.0, 0.0
 
     def _count_repeats(self, range_m: float, z_m: float) -> None:
+        self.ended = False
         if self.repeats > 0 and abs(range_m - self.repeated_m) <= REPEAT_BAND * self.sigma_m:
             self.repeats += 1
             return
@@ -63,6 +64,7 @@ class NaiveResponse:
         share = 1.0 / m.RUN_SAMPLES if not longer else 0.125 if outlier else 1.0
         if self.phase == RUN:
             self.usual_repeats = (1.0 - share) * self.usual_repeats + share * self.repeats
+        self.ended = self.is_repeated
         self.repeats, self.repeated_m, self.repeated_z_m = 1, range_m, z_m
 
     @property
@@ -92,9 +94,9 @@ class NaiveResponse:
         self.mean_m += math.copysign(deviation_m, step_m) / self.number
         self.spread_m += (deviation_m - self.spread_m) / (2.0 * c.MIN_MEANS * self.number)
         if not self.is_quiet:
-            self.usual_m += (self.spread_m - self.usual_m) / c.USUAL_SPREAD_SAMPLES
+            self.usual_m += SLOW_RATE * (self.spread_m - self.usual_m)
         self.in_run += 1
-        if self.number < self.in_run < m.RUN_SAMPLES:
+        if self.swing_m == 0.0 and self.number < self.in_run < m.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
         self.band_m = m.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
         often = self.repeats >= max(5, REPEAT_RATIO * self.usual_repeats) and self.usual_repeats > 0.0
@@ -103,7 +105,7 @@ class NaiveResponse:
         allowed_m = self.band_m
         if self.phase != RUN:
             allowed_m = max(m.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
-        changed = self.phase != RUN and self.because_repeated and self.repeats == 1
+        changed = self.phase != RUN and self.ended
         self.answer_s = self.delay_s + r.STOP_TAUS * self.tau_s + c.MIN_MEANS * self.number * self.interval_s
         if begins or abs(self.mean_m - self.run_m) > allowed_m or changed:
             self.settled_ns = t_ns
@@ -116,8 +118,8 @@ class NaiveResponse:
         elif self.phase == RUN and self.descent_m is not None:
             self._begin_run(z_m)
             least_m, most_m = self.descent_m
-            self.run_m, self.swing_m = 0.5 * (least_m + most_m), 0.5 * (most_m - least_m)
-            self.in_run, self.rose, self.because_repeated = m.RUN_SAMPLES, False, False
+            self.mean_m = self.run_m = 0.5 * (least_m + most_m)
+            self.swing_m, self.rose = 0.5 * (most_m - least_m), False
             self.phase, self.begin_ns, self.begin_z_m = HOLD, t_ns, z_m
         elif self.phase == RUN and t_ns < self.settled_ns and not self.is_repeated:
             self._begin_run(z_m)
@@ -154,7 +156,7 @@ class NaiveResponse:
         if long and self.shift_ns is None and (doubtful or distant or suspicious):
             self.shift_ns, self.lift_m = t_ns, r.SHIFT_BANDS * self.band_m
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > self.answer_s
-        self.rose, self.because_repeated = rises, repeats and not (wrong or quiet)
+        self.rose = rises
         if rises and unanswered:
             self._lift(t_ns, z_m, self.lift_m + c.MOTION_BANDS * self.band_m + self.tau_s * rate_mps)
         elif not rises and (unanswered or suspicious or far):
@@ -185,13 +187,12 @@ class NaiveResponse:
             self._lift(t_ns, z_m, max(c.MOTION_BANDS * self.band_m, r.SWINGS[1] * self.swing_m))
             return
         missing_m = self.misses_m if self.rose else max(self.begin_z_m + self.lift_m - z_m, self._lead_m(z_m))
-        self.because_repeated = self.is_repeated
-        allowed_m = (0.65 if self.rose else 0.5) * self.lift_m
+        allowed_m = r.OBEYED * self.lift_m
         obeyed = missing_m < allowed_m
         if self.rose and z_m > self.highest_m - allowed_m:
             stands = abs(self.climb_mps) < 0.5 * math.fsum(self.rates_mps) / len(self.rates_mps)
             obeyed = stands and z_m < self.highest_m + allowed_m
-        if self.because_repeated or (self.applied and obeyed):
+        if self.is_repeated or (self.applied and obeyed):
             self.phase = NONE
         elif late_s > longest_s:
             self._begin_run(z_m)

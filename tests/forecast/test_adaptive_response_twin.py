@@ -54,12 +54,11 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         ground += slope * interval_s
         read = (z - ground if stuck is None else stuck) + SIGMA_M * rng.standard_normal() * noisy
         read += 0.02 * (rng.random() < 5e-3)
-        descent, twin.descent_m = adaptive["descent"], None
-        descent["tested_m"] = 0.0
+        descent, twin.descent_m, spread_m = adaptive["descent"], None, 0.0
         if k > 10 and rng.random() < 4e-3:  # one that its ranges do not explain
             twin.descent_m = low, high = twin.mean_m - 2e-3 * rng.random(), twin.mean_m + 2e-3 * rng.random()
-            descent["least_m"], descent["most_m"], descent["tested_m"] = low, high, 0.5 * (high - low)
-        observe_response(params, adaptive, t_ns, read, z, GAP_S)
+            descent["least_m"], descent["most_m"], spread_m = low, high, 0.5 * (high - low)
+        observe_response(params, adaptive, t_ns, read, z, spread_m)
         twin.observe(t_ns, read, z)
         record, repeats = adaptive["response"], adaptive["repeats"]
         assert PHASES[record["phase"]] == twin.phase, (seed, k)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 from surffollow.forecast.quantities import LONG_GAP_NS
+from surffollow.forecast.sensing.latency_identification import MAX_DRIFT_TAUS
 from surffollow.shm.layout_adaptive import REASON_NAMES, REASON_TIMESTAMPS
 from surffollow.shm.layout_follow import CHANNELS
 
@@ -28,7 +29,6 @@ BACK = 0.5  # of the time that tells another clock: timestamps that go back less
 RELEASE = 0.5  # of the shift: timestamps nearer to the mean lead are right again
 # at the reference time 1, divisible by all reference times: whole nanoseconds would not scale bit for bit
 QUANTUM_NS = 1 << 12  # of a shift
-MAX_DRIFT_TAUS = 0.5  # of the mean lead: as for a clock that is slow (`latency_identification`)
 CONFIRMING_TIMES = 2  # reference times after the jump: a single one may itself be late
 
 

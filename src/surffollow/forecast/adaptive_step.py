@@ -28,10 +28,10 @@ def distance_ahead(adaptive, sense, age_s):
     adaptive, sense : records of `AdaptiveState`, `SenseState`
     age_s : float64  of the newest pose at that time [s]
     """
-    motion, newest = adaptive.kinematics, 7 * newest_pose(sense)
+    motion = adaptive.kinematics
     if kinematics.is_at_rest(motion):
         return 0.0
-    lead_m = measurement.footprint_lead(adaptive, sense.pose[newest], sense.pose[newest + 1])
+    lead_m = measurement.footprint_lead(adaptive, sense.pose, 7 * newest_pose(sense))
     return motion.speed_mps * age_s - lead_m
 
 

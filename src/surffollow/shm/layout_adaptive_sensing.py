@@ -127,7 +127,6 @@ class Response(Schema):
     test_ns = I64(unit="ns", doc="when phase or shift began")
     swing_m = F64(unit="m", doc="half the spread of the ranges in a descent that is tested; 0: another test")
     settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")
-    repeated = I64(doc="1: the test is there because the range is repeated")
 
 
 class Repeats(Schema):
@@ -137,6 +136,7 @@ class Repeats(Schema):
     range_m = F64(unit="m", doc="the first of them")
     tool_z_m = F64(unit="m", doc="height of the tool then")
     usual = F64(doc="longest such run lately")
+    ended = I64(doc="1: the newest range differs from one that was repeated far more often than usual")
     unused = I64(doc="1: the newest range repeats although the tool has moved, and is not used")
 
 
@@ -156,9 +156,6 @@ class Descent(Schema):
     least_m = F64(unit="m", doc="least of these means; fades toward them")
     most_m = F64(unit="m", doc="greatest of these means; fades toward them")
     unexplained = I64(doc="1: the ranges do not explain the descent")
-    tested_m = F64(
-        unit="m", doc="half the spread of the ranges, if the descent is to be tested; 0: it is not"
-    )
 
 
 class Prediction(Schema):

@@ -7,14 +7,8 @@ with a sign of a fault is tested (`response`).
 """
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.quantities import APART_M
-from surffollow.forecast.sensing.mean_range import (
-    ERROR_MOTION,
-    LAG_TAUS,
-    MAX_READINGS,
-    RUN_SAMPLES,
-    is_suspicious,
-)
+from surffollow.forecast.quantities import APART_M, SLOW_RATE
+from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.repeated_ranges import is_repeated
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import (
@@ -25,44 +19,33 @@ from surffollow.shm.layout_adaptive_sensing import (
 )
 
 MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
-SHIFT_ERROR_MOTION = ERROR_MOTION / 6.0  # from which the setpoint is shifted up …
+SHIFT_ERROR_MOTION = mean_range.ERROR_MOTION / 6.0  # from which the setpoint is shifted up …
 SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
-USUAL_SPREAD_SAMPLES = 256  # in that deviation
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 
 
 @jit
-def begin_run(params, adaptive, tool_z_m):
-    """Begin a run at the present mean range, over the present slope, for this stand-off."""
+def begin_run(params, adaptive, tool_z_m, range_m):
+    """Begin a run of ranges with this mean, over the present slope, for this stand-off."""
     run = adaptive.run
     run.slope, run.standoff_m = adaptive.estimate.slope, params.offset_m
-    run.range_m, run.samples, run.rate_mps = run.mean_m, 0, 0.0
+    run.range_m, run.mean_m, run.samples, run.rate_mps = range_m, range_m, 0, 0.0
     run.top_z_m = run.low_z_m = tool_z_m
 
 
 @jit
-def assume_range(run, range_m):
-    """Take a range as the one that the sensor reads in this run."""
-    run.range_m, run.samples = range_m, RUN_SAMPLES
-
-
-@jit
-def restart_mean(run, range_m):
-    """Begin the running mean with a range."""
-    run.mean_m = range_m
-
-
-@jit
-def update_mean(run, range_m, most_m, number):
-    """Update the mean of `number` ranges, and that of the run; a range counts by `most_m` at most."""
+def update_mean(adaptive, range_m, most_m):
+    """Update the running mean, and that of the run; a range counts by `most_m` at most."""
+    run, number = adaptive.run, mean_range.mean_samples(adaptive)
     deviation_m = min(max(range_m - run.mean_m, -most_m), most_m)
     run.mean_m += deviation_m / number
     run.spread_m += (abs(deviation_m) - run.spread_m) / (2.0 * MIN_MEANS * number)
     if not is_quiet(run):  # noise far below the usual one is not learned
-        run.usual_m += (run.spread_m - run.usual_m) / USUAL_SPREAD_SAMPLES
+        run.usual_m += SLOW_RATE * (run.spread_m - run.usual_m)
     run.samples += 1
-    if number < run.samples < RUN_SAMPLES:  # its own mean is the better known one
+    # its own mean is the better known one, but in the test of a descent the middle of a spread is
+    if adaptive.response.swing_m == 0.0 and number < run.samples < mean_range.RUN_SAMPLES:
         run.range_m += (run.mean_m - run.range_m) / run.samples
 
 
@@ -81,35 +64,33 @@ def observe_motion(run, tool_z_m, climb_mps):
 
 
 @jit
-def sign_of_fault(adaptive, number, motion_m, band_m):
-    """Sign of a fault in the run, and whether it is that the ranges are repeated.
+def sign_of_fault(adaptive, motion_m):
+    """Sign of a fault in the run.
 
     Parameters
     ----------
     adaptive : record of `AdaptiveState`
-    number : float64    ranges in their mean
     motion_m : float64  motion of the run that counts [m]
-    band_m : float64    change of the mean that noise explains [m]
 
     Returns
     -------
-    int, bool
+    int
         NO_SIGN; SIGN_FOR_SHIFT: a slight one, or a long motion, for which the setpoint is shifted up;
         SIGN_FOR_HOLD: one for which the tool is held.
     """
-    run, tau_s = adaptive.run, adaptive.plant.tau_s
+    run, tau_s, band_m = adaptive.run, adaptive.plant.tau_s, mean_range.range_band_m(adaptive)
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
-    wrong = is_suspicious(error_m, motion_m, run.rate_mps, band_m, tau_s, run.standoff_m)
-    only_repeats = repeats and not (wrong or quiet)
+    wrong = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, tau_s, run.standoff_m)
     if motion_m <= MOTION_BANDS * band_m:  # it hides in the noise
-        return NO_SIGN, only_repeats
+        return NO_SIGN
     if wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED:
-        return SIGN_FOR_HOLD, only_repeats
+        return SIGN_FOR_HOLD
     # with fewer samples in τ the ground changes while an answer is awaited
-    lags = number < MAX_READINGS or error_m <= LAG_TAUS * tau_s * run.rate_mps
+    few = mean_range.mean_samples(adaptive) < mean_range.MAX_READINGS
+    lags = few or error_m <= mean_range.LAG_TAUS * tau_s * run.rate_mps
     slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
-        return NO_SIGN, only_repeats
-    return SIGN_FOR_SHIFT, only_repeats
+        return NO_SIGN
+    return SIGN_FOR_SHIFT

@@ -10,18 +10,17 @@ neither is so, and the ground would be steep. Below the lowest ground so far suc
 
 import math
 
-from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
+from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
-from surffollow.forecast.sensing.mean_range import ERROR_MOTION, MAX_READINGS, mean_band_m, mean_samples
-from surffollow.forecast.sensing.response import SWINGS, stop_s
+from surffollow.forecast.sensing.response import SWINGS, answer_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
 RETURN_SHARE = 0.1  # of a fall: a tool that has risen by more begins another descent
 FALL_ERRORS = 3.0  # mean errors in a fall over ground that stays: two at most
 LEAST_ERROR = 0.02  # of the stand-off: less takes a descent of fifty errors or more to the ground
-ERROR_MEANS = 8.0  # mean ranges in the mean error
+ERROR_MEANS = 8.0  # mean ranges in the mean error: with more a slow sensor is named later
 SPREAD_TAUS = 50.0  # in which the spread of the ranges fades
 STEEPER = 2.0  # than the RMS slope before the descent: ground that was steep may fall as steeply
 TESTED_SHARE = 0.1  # of the stand-off below the lowest ground; and of a spread that an answer can exceed
@@ -39,7 +38,7 @@ def begin_descent(adaptive, tool_z_m, reach_m):
 
 @jit
 def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
-    """Update the descent with a sample of channel 0: whether it is unexplained, and is to be tested.
+    """Update the descent with a sample of channel 0: whether it is unexplained, and is to be tested at once.
 
     With mean error e, fall Δz, spread ±B of the ranges, stand-off s₀, RMS slope m before the descent and the
     distance d travelled it is unexplained if
@@ -57,18 +56,22 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     t_ns : int64         timestamp
     range_m : float64    range [m]
     tool_z_m : float64   height of the tool at that time [m]
+
+    Returns
+    -------
+    float64  half the spread ±B of the ranges, if the descent is to be tested [m]; 0: it is not
     """
-    descent, number, share_m = adaptive.descent, mean_samples(adaptive), TESTED_SHARE * params.offset_m
-    band = mean_band_m(range_noise_m(adaptive.noise), number)
+    descent, interval_s = adaptive.descent, adaptive.prediction.interval_s
+    number, band = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
+    share_m = TESTED_SHARE * params.offset_m
     if descent.t_ns == 0 or not 0 < t_ns - descent.t_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
         begin_descent(adaptive, tool_z_m, share_m)
-    descent.t_ns, descent.tested_m = t_ns, 0.0
+    descent.t_ns = t_ns
     if adaptive.response.swing_m > 0.0:  # in its test
         begin_descent(adaptive, tool_z_m, descent.reach_m)
-        return
-    interval_s = adaptive.prediction.interval_s
+        return 0.0
     fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
     descent.range_m += (range_m - descent.range_m) / number
     descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)
@@ -84,64 +87,58 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     descent.error_m += (range_m - params.offset_m - descent.error_m) / newest
     descent.travel_m += adaptive.kinematics.speed_mps * interval_s
     spread_m = max(0.5 * (descent.most_m - descent.least_m), band)
-    unexplained = _is_unexplained(params, adaptive, tool_z_m, number, band, spread_m)
+    unexplained = _is_unexplained(params, adaptive, tool_z_m, spread_m)
     descent.unexplained = 1 if unexplained else 0
-    # with fewer samples the answer is late, beside a greater spread it does not stand out
-    answers = number >= MAX_READINGS and spread_m < share_m and _has_room(params, adaptive, number, spread_m)
-    if unexplained and answers and _is_deep(adaptive, t_ns, tool_z_m):
-        descent.tested_m, descent.reach_m = spread_m, 2.0 * descent.reach_m
+    if not unexplained or not _is_testable(params, adaptive, tool_z_m, spread_m):
+        return 0.0
+    descent.reach_m *= 2.0
+    return spread_m
 
 
 @jit
-def _is_unexplained(params, adaptive, tool_z_m, number, band_m, spread_m):
+def _is_unexplained(params, adaptive, tool_z_m, spread_m):
     """Whether the mean range is too long for so long and steep a descent, as in `observe_descent`.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`
     tool_z_m : float64  height of the tool [m]
-    number : float64    ranges in their mean
-    band_m : float64    change of the mean that noise explains [m]
     spread_m : float64  half the spread of the means, the band at least [m]
     """
     descent, error_m = adaptive.descent, adaptive.descent.error_m
-    fall_m, least_m = descent.top_z_m - tool_z_m, max(band_m, LEAST_ERROR * params.offset_m)
-    long = descent.samples > 2.0 * number and error_m > least_m and fall_m > FALL_ERRORS * error_m
-    great = error_m * fall_m > ERROR_MOTION * spread_m * params.offset_m
+    fall_m = descent.top_z_m - tool_z_m
+    least_m = max(mean_range.range_band_m(adaptive), LEAST_ERROR * params.offset_m)
+    known = descent.samples > 2.0 * mean_range.mean_samples(adaptive)
+    long = known and error_m > least_m and fall_m > FALL_ERRORS * error_m
+    great = error_m * fall_m > mean_range.ERROR_MOTION * spread_m * params.offset_m
     steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
     return long and great and steep and abs(adaptive.sample.lead_m) < APART_M
 
 
 @jit
-def _has_room(params, adaptive, number, spread_m):
-    """Whether the spread is known, and the answer comes before falling ground leaves the sensor's window.
+def _is_testable(params, adaptive, tool_z_m, spread_m):
+    """Whether an unexplained descent is to be tested, as in `observe_descent`.
 
-    The ground falls at the rate of the tool until the tool, which was held, follows again.
+    The answer must stand out from the spread, and come in time: with few samples it is late. The ground falls
+    at the rate of the tool until the tool, which was held, follows again.
 
     Parameters
     ----------
-    params, adaptive : records of `Params`, `AdaptiveState`
-    number : float64    ranges in their mean
-    spread_m : float64  half the spread of the means [m]
+    params, adaptive, tool_z_m, spread_m : as in `_is_unexplained`
     """
-    estimate, interval_s = adaptive.estimate, adaptive.prediction.interval_s
-    known = estimate.samples * interval_s > SPREAD_TAUS * adaptive.plant.tau_s
-    behind_s = stop_s(adaptive) + number * interval_s
-    farther_m = SWINGS[0] * spread_m + abs(adaptive.kinematics.climb_mps) * behind_s
-    return known and adaptive.descent.error_m + farther_m < params.range_max_m - params.offset_m
-
-
-@jit
-def _is_deep(adaptive, t_ns, tool_z_m):
-    """Whether the tool falls below the lowest ground, more steeply than that did, and is in no test."""
-    descent, response = adaptive.descent, adaptive.response
+    descent, response, estimate = adaptive.descent, adaptive.response, adaptive.estimate
+    known = estimate.samples * adaptive.prediction.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
+    quick = mean_range.mean_samples(adaptive) >= mean_range.MAX_READINGS
+    narrow = spread_m < TESTED_SHARE * params.offset_m
+    farther_m = SWINGS[0] * spread_m + abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, 1.0)
+    has_room = descent.error_m + farther_m < params.range_max_m - params.offset_m
     steeper = descent.top_z_m - tool_z_m > STEEPER * descent.slope * descent.travel_m
-    idle = response.phase == RESPONSE_RUN and t_ns >= response.settled_ns
-    return steeper and tool_z_m < descent.floor_z_m - descent.reach_m and idle
+    deep = steeper and tool_z_m < descent.floor_z_m - descent.reach_m
+    idle = response.phase == RESPONSE_RUN and descent.t_ns >= response.settled_ns
+    return known and quick and narrow and has_room and deep and idle
 
 
 @jit
 def reset_descent(descent):
     """Begin anew with the next sample."""
     descent.t_ns = descent.unexplained = 0
-    descent.tested_m = 0.0

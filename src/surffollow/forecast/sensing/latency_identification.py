@@ -11,15 +11,13 @@ import math
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.pose import newest_pose, pose_at
-from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, FULL_POWER_SAMPLES, USUAL_SAMPLES
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, FULL_POWER_SAMPLES, SLOW_RATE, USUAL_SAMPLES
 from surffollow.forecast.sensing import kinematics
 from surffollow.shm.jit import jit
 
 MAX_LATENCY_S = 0.1  # greater ones have to be configured
-MEAN_DELAYS = 250  # delays in a slow mean: as many as for 1 / SLOW_RATE
 # of the slow mean: the tool begins to swing; a constant error of so much is not noticed either
 MAX_DRIFT_TAUS = 0.5
-GLITCH_M = MAX_LATENCY_S * 0.08  # from the mean height: more than that latency explains at 80 mm/s
 
 
 @jit
@@ -43,9 +41,9 @@ def update_delay(latency, delay_s, stamped_s, interval_s):
     """
     if latency.known == 0:  # 0 is a delay, too: in process a sample may have none
         latency.delay_s = latency.least_s = delay_s
-    latency.known += 1 if latency.known < MEAN_DELAYS else 0
+    latency.known += 1 if latency.known * SLOW_RATE < 1.0 else 0
     latency.mean_s += (stamped_s - latency.mean_s) / latency.known
-    if latency.known < MEAN_DELAYS or latency.mean_s < latency.first_s:
+    if latency.known * SLOW_RATE < 1.0 or latency.mean_s < latency.first_s:
         latency.first_s = latency.mean_s
     latency.delay_s += (delay_s - latency.delay_s) / USUAL_SAMPLES
     least_s = min(latency.least_s, delay_s)
@@ -103,8 +101,8 @@ def update_correction(params, adaptive):
 def observe_height(params, adaptive, sense, t_ns, h_m, pose):
     """Enter a sample's height into the regression.
 
-    One that is far from the mean is a glitch. Several in a row end the rest: the ground moved, or the rest
-    began with a glitch.
+    One that is farther from the mean than MAX_LATENCY_S explains at 80 mm/s is a glitch. Several in a row end
+    the rest: the ground moved, or the rest began with a glitch.
 
     Parameters
     ----------
@@ -114,7 +112,7 @@ def observe_height(params, adaptive, sense, t_ns, h_m, pose):
     pose : (7,) float64  scratch
     """
     latency, at_rest = adaptive.latency, kinematics.is_at_rest(adaptive.kinematics)
-    far = latency.count > 0 and abs(h_m - latency.mean_height_m) > GLITCH_M
+    far = latency.count > 0 and abs(h_m - latency.mean_height_m) > MAX_LATENCY_S * 0.08
     latency.far = latency.far + 1 if far else 0
     if latency.far >= CONFIRMATION_SAMPLES:
         update_correction(params, adaptive)

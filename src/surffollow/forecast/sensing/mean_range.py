@@ -1,5 +1,6 @@
 """Mean of the newest ranges, the band within which noise alone keeps it, and errors that are no lag."""
 
+from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.shm.jit import jit
 
 RUN_SAMPLES = 64  # in the mean of a run of constant ranges, and runs in the usual length of repeated ranges
@@ -21,6 +22,12 @@ def mean_samples(adaptive):
 def mean_band_m(sigma_m, number):
     """Change of a mean of `number` ranges of standard deviation σ that noise explains [m]."""
     return BAND_SIGMAS * sigma_m / number**0.5
+
+
+@jit
+def range_band_m(adaptive):
+    """Change of the mean range of channel 0 that noise explains [m]."""
+    return mean_band_m(range_noise_m(adaptive.noise), mean_samples(adaptive))
 
 
 @jit

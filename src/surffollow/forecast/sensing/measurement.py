@@ -66,8 +66,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     travel = advance_path(params, adaptive, t, x, y, pose)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     if not at_rest:
-        newest = 7 * newest_pose(sense)
-        ahead = footprint_lead(adaptive, sense.pose[newest], sense.pose[newest + 1])
+        ahead = footprint_lead(adaptive, sense.pose, 7 * newest_pose(sense))
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
     entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapts(params, adaptive))
@@ -135,11 +134,10 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     latency_identification.update_delay(adaptive.latency, delay_s, stamped_s, interval_s)
     predict_pose(params, adaptive, sense, t_ns, pose)
     was_stuck = response.is_unresponsive(adaptive.response)
-    gap_s = health.dropout_tolerance_s(adaptive.prediction)
     if orients(params):
         range_m = rotation_response.mean_range(params, adaptive.beams, t_ns, range_m)
-    response.observe_response(params, adaptive, t_ns, range_m, pose[2], gap_s)
-    descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
+    spread_m = descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
+    response.observe_response(params, adaptive, t_ns, range_m, pose[2], spread_m)
     responds = not response.is_unresponsive(adaptive.response)
     if was_stuck and responds:
         estimate.discard_estimate(adaptive.estimate)
@@ -169,16 +167,16 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
     sample.spacing_m = follow_usual(sample.spacing_m, travel)
     sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, adaptive.estimate.arc_length_m + travel
     if not kinematics.is_at_rest(motion):
-        lead_m = footprint_lead(adaptive, pose[0], pose[1])
+        lead_m = footprint_lead(adaptive, pose, 0)
         sample.lead_m = follow_usual(sample.lead_m if known else 0.0, lead_m)
     return travel
 
 
 @jit
-def footprint_lead(adaptive, x_m, y_m):
-    """Distance of the newest footprint ahead of the point under a tool at (x, y) [m]; the tool must move."""
+def footprint_lead(adaptive, pose, at):
+    """Distance of the newest footprint ahead of the point under the tool at `pose[at:]` [m]; it must move."""
     sample = adaptive.sample
-    gap_x, gap_y = sample.x_m - x_m - sample.tip_x_m, sample.y_m - y_m - sample.tip_y_m
+    gap_x, gap_y = sample.x_m - pose[at] - sample.tip_x_m, sample.y_m - pose[at + 1] - sample.tip_y_m
     return kinematics.distance_along(adaptive.kinematics, gap_x, gap_y)
 
 

@@ -11,23 +11,9 @@ must then change by more than it varied.
 """
 
 from surffollow.forecast.estimation.noise import range_noise_m
-from surffollow.forecast.sensing.constant_ranges import (
-    MIN_MEANS,
-    MOTION_BANDS,
-    assume_range,
-    begin_run,
-    observe_motion,
-    restart_mean,
-    sign_of_fault,
-    update_mean,
-)
-from surffollow.forecast.sensing.mean_range import (
-    BAND_SIGMAS,
-    MIN_READINGS,
-    TEST_BAND_FACTOR,
-    mean_band_m,
-    mean_samples,
-)
+from surffollow.forecast.quantities import MAX_GAP_NS, tolerated_gap_s
+from surffollow.forecast.sensing import constant_ranges, mean_range
+from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import (
@@ -47,28 +33,29 @@ SWINGS = (3.0, 4.5)
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
 # of a lift: a tool that misses less has obeyed it. In an ascent the setpoint of one that does not obey stays
 # ahead by all of it
-OBEYED = (0.5, 0.65)
+OBEYED = 0.65
 MAX_RISE = 3.0  # stand-offs that a range without response may lead the tool up in a lift …
 MARGIN = 0.5  # … and of the stand-off, kept to the end of the window for uneven ground
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 
 
 @jit
-def _begin_run(params, adaptive, tool_z_m):
-    """Begin a run of constant ranges, without a test."""
+def _begin_run(params, adaptive, tool_z_m, range_m):
+    """Begin a run of constant ranges with this mean, without a test."""
     response = adaptive.response
-    begin_run(params, adaptive, tool_z_m)
+    constant_ranges.begin_run(params, adaptive, tool_z_m, range_m)
     response.phase, response.lift_m, response.swing_m = RESPONSE_RUN, 0.0, 0.0
 
 
 @jit
-def _begin_phase(response, phase, t_ns, tool_z_m):
+def _begin_phase(response, phase, tool_z_m):
     """Begin a phase of the test, RESPONSE_HOLD or RESPONSE_LIFT, at the tool's height, with a sample."""
-    response.phase, response.test_ns, response.test_z_m, response.lift_m = phase, t_ns, tool_z_m, 0.0
+    response.phase, response.test_ns = phase, response.t_ns
+    response.test_z_m, response.lift_m = tool_z_m, 0.0
 
 
 @jit
-def _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m):
+def _begin_lift(params, adaptive, tool_z_m, lift_m):
     """Lift the setpoint by `lift_m`, no farther than the sensor sees the ground of when the run began.
 
     The tool may climb in an answer as it did in the run.
@@ -76,28 +63,29 @@ def _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m):
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`response` updated)
-    t_ns, tool_z_m, number : as in `_update_run`
-    lift_m : float64  by which the setpoint is lifted [m]
+    tool_z_m : float64  height of the tool [m]
+    lift_m : float64    by which the setpoint is lifted [m]
     """
     response, run, standoff_m = adaptive.response, adaptive.run, params.offset_m
     response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
-    _begin_phase(response, RESPONSE_LIFT, t_ns, tool_z_m)
+    _begin_phase(response, RESPONSE_LIFT, tool_z_m)
     response.lift_m = response.missing_m = lift_m
     begun_z_m = run.low_z_m if response.rises != 0 else run.top_z_m
     room_m = params.range_max_m - run.range_m
     seen_z_m = begun_z_m + max(room_m - MARGIN * standoff_m, 0.5 * room_m)
-    least_z_m = tool_z_m + lift_m + run.rate_mps * _answer_s(adaptive, number)
+    least_z_m = tool_z_m + lift_m + run.rate_mps * answer_s(adaptive, MIN_MEANS)
     response.ceiling_z_m = max(min(tool_z_m + MAX_RISE * standoff_m, seen_z_m), least_z_m)
 
 
 @jit
-def stop_s(adaptive):
-    """Time from the sample that causes a hold or a shift until the tool has obeyed [s]."""
-    return adaptive.latency.delay_s + STOP_TAUS * adaptive.plant.tau_s
+def answer_s(adaptive, means):
+    """Time from a hold or a shift until so many mean ranges are of a tool that has obeyed [s]."""
+    obeyed_s = adaptive.latency.delay_s + STOP_TAUS * adaptive.plant.tau_s
+    return obeyed_s + means * mean_range.mean_samples(adaptive) * adaptive.prediction.interval_s
 
 
 @jit
-def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
+def _update_run(params, adaptive, tool_z_m):
     """Shift the setpoint, or hold the tool, in a motion with a constant range that gives cause to it.
 
     An ascent leads away from the ground: it counts a fourth, and a shift comes first.
@@ -105,50 +93,48 @@ def _update_run(params, adaptive, t_ns, tool_z_m, number, band_m):
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`response` updated)
-    t_ns : int64        timestamp of the sample
-    tool_z_m : float64  height of the tool at that time [m]
-    number : float64    ranges in their mean
-    band_m : float64    the mean has changed when it changes by more [m]
+    tool_z_m : float64  height of the tool at the newest sample [m]
     """
     response, run = adaptive.response, adaptive.run
-    descent, ascent = observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
+    number, band_m = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
+    descent, ascent = constant_ranges.observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
     ascent *= ASCENT_SHARE
     rises = ascent > descent and descent < band_m  # it has not turned down since
-    sparse = number <= MIN_READINGS  # the ground changes while an answer is awaited
+    sparse = number <= mean_range.MIN_READINGS  # the ground changes while an answer is awaited
     if run.samples <= MIN_MEANS * number or (rises and sparse and not is_repeated(adaptive.repeats)):
         return
-    sign, repeated = sign_of_fault(adaptive, number, ascent if rises else descent, band_m)
-    response.rises, response.repeated = 1 if rises else 0, 1 if repeated else 0
+    sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
+    response.rises = 1 if rises else 0
     if sign != NO_SIGN and response.lift_m == 0.0 and run.samples > 2.0 * MIN_MEANS * number:
-        response.lift_m, response.test_ns = SHIFT_BANDS * band_m, t_ns
-    late = response.lift_m > 0.0 and (t_ns - response.test_ns) * 1e-9 > _answer_s(adaptive, number)
+        response.lift_m, response.test_ns = SHIFT_BANDS * band_m, response.t_ns
+    late = response.lift_m > 0.0 and _late_s(adaptive) > 0.0
     if rises:
         if late:  # the greater shift stands out from the lag of the axis
             lift_m = response.lift_m + MOTION_BANDS * band_m + adaptive.plant.tau_s * run.rate_mps
-            _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m)
+            _begin_lift(params, adaptive, tool_z_m, lift_m)
         return
     # until the axis has stopped
     stop_m = run.rate_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
     far = not sparse and descent + stop_m > MAX_DESCENT * params.offset_m
     if late or far or sign == SIGN_FOR_HOLD:
-        _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m)
+        _begin_phase(response, RESPONSE_HOLD, tool_z_m)
 
 
 @jit
-def _test_descent(params, adaptive, t_ns, tool_z_m):
+def _test_descent(params, adaptive, tool_z_m, spread_m):
     """Hold the tool in a descent that the ranges do not explain; the middle of their spread must change."""
     response, descent = adaptive.response, adaptive.descent
-    _begin_run(params, adaptive, tool_z_m)
-    assume_range(adaptive.run, 0.5 * (descent.most_m + descent.least_m))
-    response.swing_m = descent.tested_m
-    response.rises = response.repeated = 0
-    _begin_phase(response, RESPONSE_HOLD, t_ns, tool_z_m)
+    _begin_run(params, adaptive, tool_z_m, 0.5 * (descent.most_m + descent.least_m))
+    response.swing_m = spread_m
+    response.rises = 0
+    _begin_phase(response, RESPONSE_HOLD, tool_z_m)
 
 
 @jit
-def _answer_s(adaptive, number):
-    """Time in which the mean of so many ranges answers a shift or a lift [s]."""
-    return stop_s(adaptive) + MIN_MEANS * number * adaptive.prediction.interval_s
+def _late_s(adaptive):
+    """Time for which the answer to the present shift, hold or lift is late [s]."""
+    response = adaptive.response
+    return (response.t_ns - response.test_ns) * 1e-9 - answer_s(adaptive, MIN_MEANS)
 
 
 @jit
@@ -159,7 +145,7 @@ def _excess_lead_m(adaptive, tool_z_m):
 
 
 @jit
-def _update_test(params, adaptive, t_ns, tool_z_m, number, band_m):
+def _update_test(params, adaptive, tool_z_m):
     """Go from a hold to a lift, and end one without response: the sensor is stuck, if the tool obeyed.
 
     It obeyed a lift from a descent when it is there and the setpoint is not ahead, one from an ascent when
@@ -170,86 +156,79 @@ def _update_test(params, adaptive, t_ns, tool_z_m, number, band_m):
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`response` updated)
-    t_ns : int64        timestamp of the sample
-    tool_z_m : float64  height of the tool at that time [m]
-    number : float64    ranges in their mean
-    band_m : float64    as in `_update_run`
+    tool_z_m : float64  height of the tool at the newest sample [m]
     """
     response, rises = adaptive.response, adaptive.response.rises != 0
     lead_m = _excess_lead_m(adaptive, tool_z_m)
     if rises:  # under a constant range the setpoint oscillates: the mean of four means of ranges counts
-        missing_m = lead_m - response.lead_m
-        response.missing_m += (missing_m - response.missing_m) / (2.0 * MIN_MEANS * number)
-    late_s = (t_ns - response.test_ns) * 1e-9 - _answer_s(adaptive, number)
-    longest_s = ANSWER_TAUS * adaptive.plant.tau_s
+        number = 2.0 * MIN_MEANS * mean_range.mean_samples(adaptive)
+        response.missing_m += (lead_m - response.lead_m - response.missing_m) / number
+    late_s, longest_s = _late_s(adaptive), ANSWER_TAUS * adaptive.plant.tau_s
     if late_s <= (longest_s if rises else 0.0):
         return
     if response.phase == RESPONSE_HOLD:
-        lift_m = max(MOTION_BANDS * band_m, SWINGS[1] * response.swing_m)
-        _begin_lift(params, adaptive, t_ns, tool_z_m, number, lift_m)
+        lift_m = max(MOTION_BANDS * mean_range.range_band_m(adaptive), SWINGS[1] * response.swing_m)
+        _begin_lift(params, adaptive, tool_z_m, lift_m)
         return
-    if not rises:  # it is there, and follows the setpoint
-        response.missing_m = max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
-    allowed_m = OBEYED[response.rises] * response.lift_m
-    obeyed, below_m = response.missing_m < allowed_m, response.ceiling_z_m - tool_z_m
+    allowed_m, below_m = OBEYED * response.lift_m, response.ceiling_z_m - tool_z_m
+    # behind a descent: it is there, and follows the setpoint
+    missing_m = response.missing_m if rises else max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
+    obeyed = missing_m < allowed_m
     if rises and below_m < allowed_m:  # one that another controller leads climbs farther
         obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * adaptive.run.rate_mps
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
-    response.repeated = 1 if is_repeated(adaptive.repeats) else 0
-    if response.repeated != 0 or (applied and obeyed):
+    if is_repeated(adaptive.repeats) or (applied and obeyed):
         response.phase = RESPONSE_FAILED
     elif late_s > longest_s:
-        _begin_run(params, adaptive, tool_z_m)
+        _begin_run(params, adaptive, tool_z_m, adaptive.run.mean_m)
 
 
 @jit
-def _responds(adaptive, band_m):
-    """Whether the mean range has left the band of the run, or a range that was repeated has changed."""
-    response, run = adaptive.response, adaptive.run
+def _responds(adaptive):
+    """Whether the mean range has left the band of the run, or one that was repeated changes in a test."""
+    response, run, band_m = adaptive.response, adaptive.run, mean_range.range_band_m(adaptive)
+    change_m = abs(run.mean_m - run.range_m)
     if response.phase == RESPONSE_RUN:
-        least_m, changed = band_m, False
-    else:
-        least_m = max(TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
-        changed = response.repeated != 0 and adaptive.repeats.count == 1
-    return abs(run.mean_m - run.range_m) > least_m or changed
+        return change_m > band_m
+    least_m = max(mean_range.TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
+    return change_m > least_m or adaptive.repeats.ended != 0
 
 
 @jit_inlined
-def observe_response(params, adaptive, t_ns, range_m, tool_z_m, gap_s):
+def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     """Update the test with a sample of channel 0.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (updated)
-    t_ns : int64             timestamp
-    range_m : float64        range [m]
-    tool_z_m : float64       height of the tool at that time [m]
-    gap_s : float64          after a longer time without samples an answer is awaited anew [s]
+    t_ns : int64        timestamp
+    range_m : float64   range [m]
+    tool_z_m : float64  height of the tool at that time [m]
+    spread_m : float64  half the spread of the ranges in a descent that is to be tested [m]; 0: none
     """
-    response, number = adaptive.response, mean_samples(adaptive)
-    sigma = range_noise_m(adaptive.noise)
-    band = mean_band_m(sigma, number)
+    response, noise_m = adaptive.response, mean_range.BAND_SIGMAS * range_noise_m(adaptive.noise)
     begins = response.t_ns == 0 or t_ns < response.t_ns
-    paused, response.t_ns = (t_ns - response.t_ns) * 1e-9 > gap_s, t_ns
-    response.test_ns = t_ns if paused else response.test_ns  # an answer takes time with samples
-    count_repeats(params, adaptive, range_m, tool_z_m, band)
-    update_mean(adaptive.run, range_m, max(BAND_SIGMAS * sigma, SWINGS[0] * response.swing_m), number)
-    if begins or _responds(adaptive, band):
-        tested = response.phase != RESPONSE_RUN or response.lift_m > 0.0
-        back_s = stop_s(adaptive) + number * adaptive.prediction.interval_s if tested and not begins else 0.0
+    if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s, MAX_GAP_NS):
+        response.test_ns = t_ns  # an answer takes time with samples
+    response.t_ns = t_ns
+    count_repeats(params, adaptive, range_m, tool_z_m)
+    constant_ranges.update_mean(adaptive, range_m, max(noise_m, SWINGS[0] * response.swing_m))
+    mean_m, in_run = adaptive.run.mean_m, response.phase == RESPONSE_RUN
+    if begins or _responds(adaptive):
+        tested = not in_run or response.lift_m > 0.0
+        back_s = answer_s(adaptive, 1.0) if tested and not begins else 0.0
         response.settled_ns = t_ns + int(1e9 * back_s)
         # of a step the mean sees a part
-        if begins or abs(range_m - adaptive.run.mean_m) > BAND_SIGMAS * sigma:
-            restart_mean(adaptive.run, range_m)
-        _begin_run(params, adaptive, tool_z_m)
-    elif response.phase == RESPONSE_RUN and adaptive.descent.tested_m > 0.0:
-        _test_descent(params, adaptive, t_ns, tool_z_m)
-    elif response.phase == RESPONSE_RUN and t_ns < response.settled_ns and not is_repeated(adaptive.repeats):
-        _begin_run(params, adaptive, tool_z_m)  # the tool is on its way back from a test
-    elif response.phase == RESPONSE_RUN:
-        _update_run(params, adaptive, t_ns, tool_z_m, number, band)
+        step = begins or abs(range_m - mean_m) > noise_m
+        _begin_run(params, adaptive, tool_z_m, range_m if step else mean_m)
+    elif in_run and spread_m > 0.0:
+        _test_descent(params, adaptive, tool_z_m, spread_m)
+    elif in_run and t_ns < response.settled_ns and not is_repeated(adaptive.repeats):
+        _begin_run(params, adaptive, tool_z_m, mean_m)  # the tool is on its way back from a test
+    elif in_run:
+        _update_run(params, adaptive, tool_z_m)
     elif response.phase != RESPONSE_FAILED:
-        _update_test(params, adaptive, t_ns, tool_z_m, number, band)
+        _update_test(params, adaptive, tool_z_m)
 
 
 @jit

@@ -52,13 +52,13 @@ def new_sample(params, adaptive, sense, inputs, channel):
         if abs(value - hold.range_m) <= flicker:
             return t - hold.t_ns >= hold_ns, value, t
     if converted:
-        k, oldest = n - 2, max(0, n - CONVERSION_WINDOW)
-        while k >= oldest and abs(sense.window_m[base + (k & (CONVERSION_WINDOW - 1))] - value) <= flicker:
-            earlier = sense.window_t_ns[base + (k & (CONVERSION_WINDOW - 1))] - begun_ns + hold.shift_ns
-            if earlier <= hold.t_ns or earlier > t:  # or of a clock that jumped back since
+        for k in range(n - 2, max(0, n - CONVERSION_WINDOW) - 1, -1):
+            slot = base + (k & (CONVERSION_WINDOW - 1))
+            earlier, held = sense.window_t_ns[slot] - begun_ns + hold.shift_ns, sense.window_m[slot]
+            # the sample before, or of a clock that jumped back since
+            if abs(held - value) > flicker or not hold.t_ns < earlier <= t:
                 break
             t = earlier
-            k -= 1
     return True, value, t
 
 
