@@ -35,6 +35,7 @@ class NaiveResponse:
     last_ns: int | None = None
     ended: bool = False
     settled_ns: int = 0
+    returned_ns: int = 0
     repeats: int = 0
     usual_repeats: float = 0.0
     spread_m: float = 0.0
@@ -46,6 +47,9 @@ class NaiveResponse:
     gate_m: float = 0.0
     repeated_z_m: float = 0.0
     unused: bool = False
+    lift_m: float = 0.0
+    misses_m: float = 0.0
+    begin_z_m: float = 0.0
     descent_m: tuple[float, float] | None = None  # least and greatest mean range of one that is to be tested
     swing_m: float = 0.0
 
@@ -88,30 +92,40 @@ class NaiveResponse:
         self.last_ns = t_ns
         self._count_repeats(range_m, z_m)
         self.number = min(max(self.tau_s / self.interval_s, m.MIN_READINGS), m.MAX_READINGS)
-        most_m = max(m.BAND_SIGMAS * self.sigma_m, r.SWINGS[0] * self.swing_m)
+        self.band_m = m.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
+        tests = self.phase != RUN or self.lift_m > 0.0
+        most_m = self.number * self.band_m if tests else m.BAND_SIGMAS * self.sigma_m
+        most_m = max(most_m, r.SWINGS[0] * self.swing_m)
         step_m = range_m - self.mean_m
         deviation_m = min(abs(step_m), most_m)
         self.mean_m += math.copysign(deviation_m, step_m) / self.number
-        self.spread_m += (deviation_m - self.spread_m) / (2.0 * c.MIN_MEANS * self.number)
+        self.spread_m += (min(deviation_m, m.BAND_SIGMAS * self.sigma_m) - self.spread_m) / (
+            2.0 * c.MIN_MEANS * self.number
+        )
         if not self.is_quiet:
-            self.usual_m += SLOW_RATE * (self.spread_m - self.usual_m)
+            self.usual_m += SLOW_RATE * (min(self.spread_m, self.sigma_m) - self.usual_m)
         self.in_run += 1
         if self.swing_m == 0.0 and self.number < self.in_run < m.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
-        self.band_m = m.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
         often = self.repeats >= max(5, REPEAT_RATIO * self.usual_repeats) and self.usual_repeats > 0.0
         moved = often and abs(z_m - self.repeated_z_m) > self.band_m
         self.unused = self.repeats > 1 and (self.unused or moved)
         allowed_m = self.band_m
+        self.answer_m = max(m.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
         if self.phase != RUN:
-            allowed_m = max(m.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
+            allowed_m = self.answer_m
         changed = self.phase != RUN and self.ended
         self.answer_s = self.delay_s + r.STOP_TAUS * self.tau_s + c.MIN_MEANS * self.number * self.interval_s
         if begins or abs(self.mean_m - self.run_m) > allowed_m or changed:
-            self.settled_ns = t_ns
-            if not begins and (self.phase != RUN or self.lift_m > 0.0):
-                back_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s
-                self.settled_ns = t_ns + int(1e9 * back_s)
+            short_s = self.delay_s + self.tau_s
+            long_s = short_s + self.tau_s + self.number * self.interval_s
+            if begins:
+                self.settled_ns = self.returned_ns = t_ns
+            elif self.phase != RUN:
+                self.settled_ns = t_ns + int(1e9 * long_s)
+                self.returned_ns = self.settled_ns + int(1e9 * r.ANSWER_TAUS * self.tau_s)
+            elif self.lift_m > 0.0:
+                self.returned_ns = max(self.returned_ns, t_ns + int(1e9 * short_s))
             if begins or abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m:
                 self.mean_m = range_m
             self._begin_run(z_m)
@@ -134,15 +148,17 @@ class NaiveResponse:
         descent_m, ascent_m = self.top_z_m - z_m, z_m - self.low_z_m
         rises = r.ASCENT_SHARE * ascent_m > descent_m and descent_m < self.band_m
         repeats = self.is_repeated
-        if self.in_run <= c.MIN_MEANS * self.number:
+        rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
+        steep = not rises and rate_mps * self.answer_s > r.STEEP * self.standoff_m
+        if self.in_run <= (1.0 if steep else c.MIN_MEANS) * self.number:
             return
         if rises and self.number <= m.MIN_READINGS and not repeats:
             return
         motion_m = r.ASCENT_SHARE * ascent_m if rises else descent_m
-        rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
         ahead = abs(self.lead_m) >= APART_M
         error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
-        no_lag = error_m > m.LAG_TAUS * self.tau_s * rate_mps
+        slow_s = self.interval_s if self.number <= m.MIN_READINGS else 0.0
+        no_lag = error_m > m.LAG_TAUS * (self.tau_s + slow_s) * rate_mps
         work = error_m * motion_m / (self.band_m * self.standoff_m)
         wrong = error_m > self.band_m and no_lag and work > m.ERROR_MOTION
         enough = motion_m > c.MOTION_BANDS * self.band_m
@@ -153,13 +169,17 @@ class NaiveResponse:
         far = self.number > m.MIN_READINGS and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
         distant = motion_m > c.SHIFT_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * c.MIN_MEANS * self.number
-        if long and self.shift_ns is None and (doubtful or distant or suspicious):
-            self.shift_ns, self.lift_m = t_ns, r.SHIFT_BANDS * self.band_m
-        unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > self.answer_s
+        sign = doubtful or (enough and distant) or suspicious
+        if self.shift_ns is None and ((long and sign) or (steep and enough)):
+            self.shift_ns, self.lift_m = t_ns, (2.0 if steep else 1.0) * r.SHIFT_BANDS * self.band_m
+        wait_s = self.answer_s
+        if steep:
+            wait_s = self.delay_s + self.tau_s + self.number * self.interval_s
+        unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > wait_s
         self.rose = rises
         if rises and unanswered:
             self._lift(t_ns, z_m, self.lift_m + c.MOTION_BANDS * self.band_m + self.tau_s * rate_mps)
-        elif not rises and (unanswered or suspicious or far):
+        elif not rises and (unanswered or far or (suspicious and (t_ns >= self.returned_ns or repeats))):
             self.phase, self.begin_ns, self.begin_z_m, self.lift_m = HOLD, t_ns, z_m, 0.0
 
     def _lift(self, t_ns: int, z_m: float, lift_m: float) -> None:
@@ -177,18 +197,18 @@ class NaiveResponse:
         return self.setpoint_m - z_m - self.climb_mps * (self.tau_s + self.delay_s)
 
     def _test(self, t_ns: int, z_m: float) -> None:
+        missing_m = max(self.begin_z_m + self.lift_m - z_m, self._lead_m(z_m))
         if self.rose:
-            misses_m = self._lead_m(z_m) - self.lead_before_m
-            self.misses_m += (misses_m - self.misses_m) / (4.0 * self.number)
+            missing_m = self._lead_m(z_m) - self.lead_before_m
+        self.misses_m += (missing_m - self.misses_m) / ((4.0 if self.rose else 2.0) * self.number)
         late_s, longest_s = (t_ns - self.begin_ns) * 1e-9 - self.answer_s, r.ANSWER_TAUS * self.tau_s
         if late_s <= 0.0 or (self.rose and late_s <= longest_s):
             return
         if self.phase == HOLD:
             self._lift(t_ns, z_m, max(c.MOTION_BANDS * self.band_m, r.SWINGS[1] * self.swing_m))
             return
-        missing_m = self.misses_m if self.rose else max(self.begin_z_m + self.lift_m - z_m, self._lead_m(z_m))
-        allowed_m = r.OBEYED * self.lift_m
-        obeyed = missing_m < allowed_m
+        allowed_m = r.OBEYED * self.lift_m if self.rose else self.lift_m - self.answer_m
+        obeyed = self.misses_m < allowed_m
         if self.rose and z_m > self.highest_m - allowed_m:
             stands = abs(self.climb_mps) < 0.5 * math.fsum(self.rates_mps) / len(self.rates_mps)
             obeyed = stands and z_m < self.highest_m + allowed_m

@@ -201,7 +201,9 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
         )
         assert a["descent"]["unexplained"] == expected, k
         deep = z < floor - reach and fall > 2.0 * slope * speed * 4e-3 * len(kept)
-        room = 0.06 - error - 3.0 * spread - 0.1 * (2.0 * 0.04 + 8.0 * 4e-3)  # window, climb rate, τ, samples
+        room = (
+            0.06 - error - 4.5 * spread - 0.1 * (2.0 * 0.04 + 16.0 * 4e-3)
+        )  # window, climb rate, τ, samples
         answers = spread < 0.1 * STANDOFF_M and room > 0.0 and k > 500
         to_test = expected and deep and answers and not comes_back
         assert tested_m == pytest.approx(spread if to_test else 0.0), k

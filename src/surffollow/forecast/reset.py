@@ -53,3 +53,17 @@ def reset_surface(adaptive):
     release_setpoint(adaptive.setpoint)
     withdraw_preview(adaptive.preview)
     adaptive.health.faults = 0
+
+
+@jit
+def begin_mode(params, state):
+    """Begin in another mode as behind SFReset: what it knows is from before it was left.
+
+    Parameters
+    ----------
+    params, state : (1,) records of `Params`, `FollowState` (updated)
+    """
+    state[0].mode = params[0].mode
+    clear_record(state, PAPER)
+    reset_surface(state[0].adaptive)
+    state[0].adaptive.kinematics.pose_count = 0  # poses came in the meantime: they are no jump

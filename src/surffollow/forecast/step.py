@@ -196,6 +196,8 @@ def follow_step(params, state, inputs, output, scratch):
     No clock, allocation or exception; the same inputs give the same bits. Paper §3.3.3.
     """
     p, s, i, o = params[0], state[0], inputs[0], output[0]
+    if p.mode != s.mode:
+        reset.begin_mode(params, state)
     take_poses(s.sense, i)
     if i.n_ranges > 0:
         take_ranges(p, s.sense, i)

@@ -127,6 +127,7 @@ class Response(Schema):
     test_ns = I64(unit="ns", doc="when phase or shift began")
     swing_m = F64(unit="m", doc="half the spread of the ranges in a descent that is tested; 0: another test")
     settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")
+    returned_ns = I64(unit="ns", doc="the error of a test is gone; before, none is a sign for a hold")
 
 
 class Repeats(Schema):
@@ -145,6 +146,8 @@ class Descent(Schema):
 
     t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none")
     samples = I64(doc="samples in it")
+    standoff_m = F64(unit="m", doc="stand-off in it")
+    changed_ns = I64(unit="ns", doc="timestamp of the sample at which that was set")
     top_z_m = F64(unit="m", doc="height of the tool where it began")
     low_z_m = F64(unit="m", doc="least height since then")
     floor_z_m = F64(unit="m", doc="least height before it")

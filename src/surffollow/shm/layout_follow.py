@@ -269,6 +269,7 @@ class FollowState(Schema):
     """All that a cycle remembers for the next one."""
 
     cycle = I64(doc="cycles stepped")
+    mode = I64(doc="mode of the cycle before")
     stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
     stop_armed = I64(doc="1: a demand was valid since the last reset, so that its loss is one")
     sense = Nested(SenseState)

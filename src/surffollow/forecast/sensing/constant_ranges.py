@@ -35,14 +35,24 @@ def begin_run(params, adaptive, tool_z_m, range_m):
 
 
 @jit
-def update_mean(adaptive, range_m, most_m):
-    """Update the running mean, and that of the run; a range counts by `most_m` at most."""
+def update_mean(adaptive, range_m, sigma_m, most_m):
+    """Update the running mean, its spread, and the mean of the run.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`run` updated)
+    range_m : float64  range [m]
+    sigma_m : float64  standard deviation of ranges [m]; more is no noise, and not learned as usual
+    most_m : float64   a range moves the mean as if it were so far away at most [m]
+    """
     run, number = adaptive.run, mean_range.mean_samples(adaptive)
     deviation_m = min(max(range_m - run.mean_m, -most_m), most_m)
     run.mean_m += deviation_m / number
-    run.spread_m += (abs(deviation_m) - run.spread_m) / (2.0 * MIN_MEANS * number)
+    run.spread_m += (min(abs(deviation_m), mean_range.BAND_SIGMAS * sigma_m) - run.spread_m) / (
+        2.0 * MIN_MEANS * number
+    )
     if not is_quiet(run):  # noise far below the usual one is not learned
-        run.usual_m += SLOW_RATE * (run.spread_m - run.usual_m)
+        run.usual_m += SLOW_RATE * (min(run.spread_m, sigma_m) - run.usual_m)
     run.samples += 1
     # its own mean is the better known one, but in the test of a descent the middle of a spread is
     if adaptive.response.swing_m == 0.0 and number < run.samples < mean_range.RUN_SAMPLES:
@@ -78,18 +88,23 @@ def sign_of_fault(adaptive, motion_m):
         NO_SIGN; SIGN_FOR_SHIFT: a slight one, or a long motion, for which the setpoint is shifted up;
         SIGN_FOR_HOLD: one for which the tool is held.
     """
-    run, tau_s, band_m = adaptive.run, adaptive.plant.tau_s, mean_range.range_band_m(adaptive)
+    run, lag_s, band_m = adaptive.run, adaptive.plant.tau_s, mean_range.range_band_m(adaptive)
+    number = mean_range.mean_samples(adaptive)
+    if (
+        number <= mean_range.MIN_READINGS
+    ):  # over falling ground a slow sensor is late by a part of its interval
+        lag_s += adaptive.prediction.interval_s
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
-    wrong = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, tau_s, run.standoff_m)
+    wrong = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
     if motion_m <= MOTION_BANDS * band_m:  # it hides in the noise
         return NO_SIGN
     if wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED:
         return SIGN_FOR_HOLD
     # with fewer samples in τ the ground changes while an answer is awaited
-    few = mean_range.mean_samples(adaptive) < mean_range.MAX_READINGS
-    lags = few or error_m <= mean_range.LAG_TAUS * tau_s * run.rate_mps
+    few = number < mean_range.MAX_READINGS
+    lags = few or error_m <= mean_range.LAG_TAUS * lag_s * run.rate_mps
     slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
         return NO_SIGN

@@ -12,7 +12,7 @@ import math
 
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing import mean_range
-from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
+from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.response import SWINGS, answer_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
@@ -67,9 +67,13 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     if descent.t_ns == 0 or not 0 < t_ns - descent.t_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
+        descent.standoff_m, descent.changed_ns = params.offset_m, t_ns - LONG_GAP_NS
         begin_descent(adaptive, tool_z_m, share_m)
     descent.t_ns = t_ns
-    if adaptive.response.swing_m > 0.0:  # in its test
+    if params.offset_m != descent.standoff_m:
+        descent.standoff_m, descent.changed_ns = params.offset_m, t_ns
+    changing = t_ns - descent.changed_ns < 1e9 * answer_s(adaptive, MIN_MEANS)  # on its way to a stand-off
+    if changing or adaptive.response.swing_m > 0.0:  # or in its test
         begin_descent(adaptive, tool_z_m, descent.reach_m)
         return 0.0
     fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
@@ -130,8 +134,8 @@ def _is_testable(params, adaptive, tool_z_m, spread_m):
     known = estimate.samples * adaptive.prediction.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
     quick = mean_range.mean_samples(adaptive) >= mean_range.MAX_READINGS
     narrow = spread_m < TESTED_SHARE * params.offset_m
-    farther_m = SWINGS[0] * spread_m + abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, 1.0)
-    has_room = descent.error_m + farther_m < params.range_max_m - params.offset_m
+    falls_m = abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, MIN_MEANS)
+    has_room = descent.error_m + SWINGS[1] * spread_m + falls_m < params.range_max_m - params.offset_m
     steeper = descent.top_z_m - tool_z_m > STEEPER * descent.slope * descent.travel_m
     deep = steeper and tool_z_m < descent.floor_z_m - descent.reach_m
     idle = response.phase == RESPONSE_RUN and descent.t_ns >= response.settled_ns

@@ -23,10 +23,14 @@ from surffollow.shm.layout_adaptive_sensing import (
     RESPONSE_LIFT,
     RESPONSE_RUN,
     SIGN_FOR_HOLD,
+    SIGN_FOR_SHIFT,
 )
 
 MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
-SHIFT_BANDS = 2.0  # by so many bands the setpoint is shifted up
+SHIFT_BANDS = 2.0  # by so many bands the setpoint is shifted up, by twice as many in a steep descent
+STEEP = (
+    0.5  # of the stand-off, in the time of an answer: so far a steep descent goes, and a hold lifts the tool
+)
 ASCENT_SHARE = 0.25  # of an ascent counts
 # times the half spread of the ranges before the test of a descent: the answer to a lift, and the lift
 SWINGS = (3.0, 4.5)
@@ -88,7 +92,8 @@ def answer_s(adaptive, means):
 def _update_run(params, adaptive, tool_z_m):
     """Shift the setpoint, or hold the tool, in a motion with a constant range that gives cause to it.
 
-    An ascent leads away from the ground: it counts a fourth, and a shift comes first.
+    An ascent leads away from the ground: it counts a fourth, and a shift comes first. In a steep descent a
+    hold of a good sensor costs more than half a stand-off: a long one is answered by a shift first.
 
     Parameters
     ----------
@@ -101,22 +106,28 @@ def _update_run(params, adaptive, tool_z_m):
     ascent *= ASCENT_SHARE
     rises = ascent > descent and descent < band_m  # it has not turned down since
     sparse = number <= mean_range.MIN_READINGS  # the ground changes while an answer is awaited
-    if run.samples <= MIN_MEANS * number or (rises and sparse and not is_repeated(adaptive.repeats)):
+    tau_s, wait_s, means = adaptive.plant.tau_s, answer_s(adaptive, MIN_MEANS), MIN_MEANS
+    steep = not rises and run.rate_mps * wait_s > STEEP * params.offset_m
+    if steep:  # the greater shift is answered sooner
+        wait_s, means = answer_s(adaptive, 1.0) - tau_s, 1.0
+    if run.samples <= means * number or (rises and sparse and not is_repeated(adaptive.repeats)):
         return
     sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
+    if response.t_ns < response.returned_ns and not is_repeated(adaptive.repeats):
+        sign = min(sign, SIGN_FOR_SHIFT)
     response.rises = 1 if rises else 0
-    if sign != NO_SIGN and response.lift_m == 0.0 and run.samples > 2.0 * MIN_MEANS * number:
-        response.lift_m, response.test_ns = SHIFT_BANDS * band_m, response.t_ns
-    late = response.lift_m > 0.0 and _late_s(adaptive) > 0.0
+    # until the axis has stopped
+    stop_m = run.rate_mps * (adaptive.latency.delay_s + tau_s)
+    far = not sparse and descent + stop_m > MAX_DESCENT * params.offset_m
+    long = sign != NO_SIGN and run.samples > 2.0 * MIN_MEANS * number
+    if response.lift_m == 0.0 and (long or (steep and descent > MOTION_BANDS * band_m)):
+        response.lift_m, response.test_ns = (2.0 if steep else 1.0) * SHIFT_BANDS * band_m, response.t_ns
+    late = response.lift_m > 0.0 and (response.t_ns - response.test_ns) * 1e-9 > wait_s
     if rises:
         if late:  # the greater shift stands out from the lag of the axis
-            lift_m = response.lift_m + MOTION_BANDS * band_m + adaptive.plant.tau_s * run.rate_mps
+            lift_m = response.lift_m + MOTION_BANDS * band_m + tau_s * run.rate_mps
             _begin_lift(params, adaptive, tool_z_m, lift_m)
-        return
-    # until the axis has stopped
-    stop_m = run.rate_mps * (adaptive.latency.delay_s + adaptive.plant.tau_s)
-    far = not sparse and descent + stop_m > MAX_DESCENT * params.offset_m
-    if late or far or sign == SIGN_FOR_HOLD:
+    elif late or far or sign == SIGN_FOR_HOLD:
         _begin_phase(response, RESPONSE_HOLD, tool_z_m)
 
 
@@ -132,7 +143,7 @@ def _test_descent(params, adaptive, tool_z_m, spread_m):
 
 @jit
 def _late_s(adaptive):
-    """Time for which the answer to the present shift, hold or lift is late [s]."""
+    """Time for which the answer to the present hold or lift is late [s]."""
     response = adaptive.response
     return (response.t_ns - response.test_ns) * 1e-9 - answer_s(adaptive, MIN_MEANS)
 
@@ -148,8 +159,8 @@ def _excess_lead_m(adaptive, tool_z_m):
 def _update_test(params, adaptive, tool_z_m):
     """Go from a hold to a lift, and end one without response: the sensor is stuck, if the tool obeyed.
 
-    It obeyed a lift from a descent when it is there and the setpoint is not ahead, one from an ascent when
-    the setpoint is ahead by little more than before, or it stands at its ceiling. Otherwise the
+    It obeyed a lift from a descent when it and its setpoint have risen by what an answer needs, one from an
+    ascent when the setpoint is ahead by little more than before, or it stands at its ceiling. Otherwise the
     ground rises, another controller leads the tool, or its axis cannot climb faster, and a new run begins in
     the end, unless the range is repeated.
 
@@ -160,9 +171,13 @@ def _update_test(params, adaptive, tool_z_m):
     """
     response, rises = adaptive.response, adaptive.response.rises != 0
     lead_m = _excess_lead_m(adaptive, tool_z_m)
-    if rises:  # under a constant range the setpoint oscillates: the mean of four means of ranges counts
-        number = 2.0 * MIN_MEANS * mean_range.mean_samples(adaptive)
-        response.missing_m += (lead_m - response.lead_m - response.missing_m) / number
+    # behind a descent: it is there, and follows the setpoint
+    missing_m = (
+        lead_m - response.lead_m if rises else max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
+    )
+    # as late as the mean range; under a constant one the setpoint oscillates in an ascent: twice as long
+    number = (2.0 if rises else 1.0) * MIN_MEANS * mean_range.mean_samples(adaptive)
+    response.missing_m += (missing_m - response.missing_m) / number
     late_s, longest_s = _late_s(adaptive), ANSWER_TAUS * adaptive.plant.tau_s
     if late_s <= (longest_s if rises else 0.0):
         return
@@ -170,10 +185,10 @@ def _update_test(params, adaptive, tool_z_m):
         lift_m = max(MOTION_BANDS * mean_range.range_band_m(adaptive), SWINGS[1] * response.swing_m)
         _begin_lift(params, adaptive, tool_z_m, lift_m)
         return
-    allowed_m, below_m = OBEYED * response.lift_m, response.ceiling_z_m - tool_z_m
-    # behind a descent: it is there, and follows the setpoint
-    missing_m = response.missing_m if rises else max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
-    obeyed = missing_m < allowed_m
+    # by what is left a good sensor would have answered
+    allowed_m = OBEYED * response.lift_m if rises else response.lift_m - _answer_m(adaptive)
+    below_m = response.ceiling_z_m - tool_z_m
+    obeyed = response.missing_m < allowed_m
     if rises and below_m < allowed_m:  # one that another controller leads climbs farther
         obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * adaptive.run.rate_mps
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
@@ -184,14 +199,19 @@ def _update_test(params, adaptive, tool_z_m):
 
 
 @jit
+def _answer_m(adaptive):
+    """Change of the mean range that answers a test [m]."""
+    swing_m = SWINGS[0] * adaptive.response.swing_m
+    return max(mean_range.TEST_BAND_FACTOR * mean_range.range_band_m(adaptive), swing_m)
+
+
+@jit
 def _responds(adaptive):
     """Whether the mean range has left the band of the run, or one that was repeated changes in a test."""
-    response, run, band_m = adaptive.response, adaptive.run, mean_range.range_band_m(adaptive)
-    change_m = abs(run.mean_m - run.range_m)
-    if response.phase == RESPONSE_RUN:
-        return change_m > band_m
-    least_m = max(mean_range.TEST_BAND_FACTOR * band_m, SWINGS[0] * response.swing_m)
-    return change_m > least_m or adaptive.repeats.ended != 0
+    change_m = abs(adaptive.run.mean_m - adaptive.run.range_m)
+    if adaptive.response.phase == RESPONSE_RUN:
+        return change_m > mean_range.range_band_m(adaptive)
+    return change_m > _answer_m(adaptive) or adaptive.repeats.ended != 0
 
 
 @jit_inlined
@@ -206,18 +226,32 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     tool_z_m : float64  height of the tool at that time [m]
     spread_m : float64  half the spread of the ranges in a descent that is to be tested [m]; 0: none
     """
-    response, noise_m = adaptive.response, mean_range.BAND_SIGMAS * range_noise_m(adaptive.noise)
+    response, sigma_m = adaptive.response, range_noise_m(adaptive.noise)
+    noise_m = mean_range.BAND_SIGMAS * sigma_m
     begins = response.t_ns == 0 or t_ns < response.t_ns
     if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s, MAX_GAP_NS):
         response.test_ns = t_ns  # an answer takes time with samples
     response.t_ns = t_ns
     count_repeats(params, adaptive, range_m, tool_z_m)
-    constant_ranges.update_mean(adaptive, range_m, max(noise_m, SWINGS[0] * response.swing_m))
-    mean_m, in_run = adaptive.run.mean_m, response.phase == RESPONSE_RUN
+    in_run, shifted = response.phase == RESPONSE_RUN, response.lift_m > 0.0
+    # in a test two samples answer, one does not
+    most_m = (
+        noise_m
+        if in_run and not shifted
+        else mean_range.mean_samples(adaptive) * mean_range.range_band_m(adaptive)
+    )
+    constant_ranges.update_mean(adaptive, range_m, sigma_m, max(most_m, SWINGS[0] * response.swing_m))
+    mean_m = adaptive.run.mean_m
+    begins = begins or (response.swing_m > 0.0 and adaptive.run.standoff_m != params.offset_m)
     if begins or _responds(adaptive):
-        tested = not in_run or response.lift_m > 0.0
-        back_s = answer_s(adaptive, 1.0) if tested and not begins else 0.0
-        response.settled_ns = t_ns + int(1e9 * back_s)
+        if begins:
+            response.settled_ns = response.returned_ns = t_ns
+        elif not in_run:
+            response.settled_ns = t_ns + int(1e9 * answer_s(adaptive, 1.0))
+            response.returned_ns = response.settled_ns + int(1e9 * ANSWER_TAUS * adaptive.plant.tau_s)
+        elif shifted:
+            returned_ns = t_ns + int(1e9 * (adaptive.latency.delay_s + adaptive.plant.tau_s))
+            response.returned_ns = max(response.returned_ns, returned_ns)
         # of a step the mean sees a part
         step = begins or abs(range_m - mean_m) > noise_m
         _begin_run(params, adaptive, tool_z_m, range_m if step else mean_m)
