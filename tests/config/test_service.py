@@ -86,6 +86,9 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"period": "19.999 us"}, ["period", "between 2e-05 and 1"]),
         ({"period": 5}, ["period", "between 2e-05 and 1 s"]),
         ({"period": [1]}, ["period"]),
+        ({"period": "0.001"}, ["key period: '0.001' has no unit", "0.001 without quotes for s"]),
+        ({"map": {"gate": "0.01"}}, ["map.gate: '0.01' has no unit", "0.01 without quotes for m"]),
+        ({"follow": {"offset": "0.1"}}, ["offset: '0.1' has no unit", "0.1 without quotes for m"]),
         ({"realtime": {"priority": 99}}, ["realtime.priority", "99", "between 1 and 98"]),
         ({"realtime": {"overrun": "panic"}}, ["realtime.overrun", "'skip' or 'catch-up'"]),
         ({"realtime": {"spin": "1 s"}}, ["realtime.spin"]),
@@ -154,6 +157,7 @@ def test_modes_are_octal(text, value):
     [
         ('[driver]\nkind = "telepathy"\n', "driver kind 'telepathy' is unknown"),
         ("[driver]\nchannels = 9\n", "channels = 9"),
+        ('[driver]\nrange_max_m = "300"\n', "range_max_m: '300' has no unit; write one, like '300 mm'"),
         ("[follow]\noffset = 0.4\n", "outside the sensor's window"),
         ('[follow]\ntoo_close = "80 mm"\n', "too_close_m 0.08 m is above too_close_exit_m 0.05842 m"),
         ('[follow]\nrange_min = "0.2 m"\n', "range_min_m 0.2 m is not below range_max_m"),

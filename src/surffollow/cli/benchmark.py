@@ -26,7 +26,7 @@ class Quantities(click.ParamType):  # type: ignore[type-arg]  # generic only in 
         if isinstance(value, list):
             return value
         try:
-            return [parse_quantity(part, self.unit) for part in str(value).split(",")]
+            return [parse_quantity(part, self.unit, bare=True) for part in str(value).split(",")]
         except UsageError as error:
             self.fail(str(error), param, ctx)
 

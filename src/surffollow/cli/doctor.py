@@ -74,7 +74,7 @@ def latency_command(
     from surffollow.units import parse_quantity
 
     # a bare number is in seconds
-    period_ns, spin_ns = (round(parse_quantity(text, "s") * 1e9) for text in (period, spin))
+    period_ns, spin_ns = (round(parse_quantity(text, "s", bare=True) * 1e9) for text in (period, spin))
     for name, value, low, high in (
         ("--seconds", seconds, 0.01, 3600.0),
         ("--period", period_ns / 1e9, 20e-6, 1.0),
