@@ -21,7 +21,7 @@ from surffollow.config.service import (
     parse_config,
     seconds,
 )
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, MapFileError
 from surffollow.hw.registry import make_driver
 from surffollow.service.initialise import initialise_constants
 from surffollow.shm.dtypes import zeros
@@ -145,6 +145,46 @@ def test_a_file_in_another_encoding_is_reported_and_not_a_crash(tmp_path):
     bad.write_bytes('name = "größe"'.encode("latin-1"))
     with pytest.raises(ConfigError, match=r"latin\.toml"):
         load_config(bad)
+
+
+@pytest.mark.parametrize(
+    ("driver", "key", "expected"),
+    [
+        ('kind = "replay"\nfile = "log.npz"', "file", "FOLDER/log.npz"),
+        ('kind = "replay"\nfile = "../log.npz"', "file", "PARENT/log.npz"),
+        ('kind = "replay"\nfile = "/log.npz"', "file", "/log.npz"),
+        ('kind = "serial"\nport = "laser"', "port", "FOLDER/laser"),
+        ('kind = "serial"\nport = "socket://host:7"', "port", "socket://host:7"),
+        ('calibration = "laser.json"', "calibration", "FOLDER/laser.json"),
+        ('calibration = ""', "calibration", ""),
+        ('kind = "other:make"\ncalibration = "a.json"', "calibration", "FOLDER/a.json"),
+        ('kind = "other:make"\nfile = "a.npz"', "file", "a.npz"),
+        ('[driver.world]\nfile = "true.npz"', "world", {"file": "FOLDER/true.npz"}),
+        ('[driver.world]\nsurface = "flat"', "world", {"surface": "flat"}),
+    ],
+)
+def test_files_lie_beside_the_configuration_file(tmp_path, monkeypatch, driver, key, expected):
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    (folder / "service.toml").write_text(f"[driver]\n{driver}\n")
+
+    def named(value):
+        return value.replace("FOLDER", str(folder)).replace("PARENT", str(tmp_path))
+
+    monkeypatch.chdir(tmp_path)
+    for path in (folder / "service.toml", "elsewhere/service.toml"):
+        found = load_config(path).driver[key]
+        wanted = {k: named(v) for k, v in expected.items()} if isinstance(expected, dict) else named(expected)
+        assert found == wanted
+
+
+def test_a_file_that_is_not_there_is_named_with_its_folder(tmp_path, monkeypatch):
+    (tmp_path / "arm.toml").write_text('[driver.world]\nfile = "true.npz"\n')
+    monkeypatch.chdir(tmp_path)
+    config = load_config("arm.toml")
+    with pytest.raises(MapFileError) as e:
+        make_driver(config.driver, "files")
+    assert str(tmp_path / "true.npz") in str(e.value)
 
 
 @pytest.mark.parametrize(("text", "value"), [("0640", 0o640), ("660", 0o660), ("0", 0), ("666", 0o666)])
