@@ -45,7 +45,7 @@ With `--json` an error is one JSON object on stdout: `error` (its text), `kind` 
 `arbiter history` print the object as their last line. An early end by Ctrl-C or a signal is an error of
 the kind `KeyboardInterrupt` (`Abort` at a question) or `Terminated`.
 """
-    settings = {"terminal_width": 100, "max_content_width": 100}
+    settings = {"terminal_width": 100, "max_content_width": 100, **cli.context_settings}
     for name, command in (("surffollow", cli), *commands(cli, "surffollow")):
         with click.Context(command, info_name=name, **settings) as ctx:  # type: ignore[arg-type]
             text += f"\n## {name}\n\n```text\n{command.get_help(ctx)}\n```\n"
