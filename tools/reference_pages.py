@@ -37,8 +37,10 @@ def cli_page() -> str:
 This page is for users of the command line. It has the help text of every command.
 `python tools/write_docs.py` writes it from the program.
 
-Exit codes: 0 done, 1 fault, 2 wrong usage, 130 ended by Ctrl-C. Commands that run until Ctrl-C
-exit with 0 then. `demo`, `arbiter demo` and `benchmark` end in order on SIGTERM (143) and SIGHUP (129), too.
+Exit codes: 0 done, 1 fault, 2 wrong usage, 130 interrupted by Ctrl-C. Commands that run until Ctrl-C
+exit with 0 then. SIGTERM and SIGHUP end the commands that run until Ctrl-C in the same way. They end
+`demo`, `arbiter demo` and `benchmark` in order with 143 and 129, and `scan run` and a waiting `simulate`
+with 130.
 
 With `--json` an error is one JSON object on stdout: `error` (its text), `kind` (its class of
 `surffollow.errors`) and `exit_code`. The text is on stderr, with `--json` too. `blocks watch` and

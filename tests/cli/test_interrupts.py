@@ -36,7 +36,7 @@ def run(number: signal.Signals, *words: str) -> subprocess.CompletedProcess[str]
 @pytest.mark.parametrize(
     ("number", "kind", "says"),
     [
-        (signal.SIGINT, "KeyboardInterrupt", "ended by Ctrl-C"),
+        (signal.SIGINT, "KeyboardInterrupt", "interrupted"),
         (signal.SIGTERM, "Terminated", "ended by SIGTERM"),
         (signal.SIGHUP, "Terminated", "ended by SIGHUP"),
     ],
@@ -83,6 +83,6 @@ def test_an_interrupt_and_the_end_of_the_input_at_a_question_are_told_apart(inte
         found = json.loads(child.stdout.read())
         error = child.stderr.read()
     assert code == found["exit_code"] == (130 if interrupted else 1)
-    assert found["error"] == ("ended by Ctrl-C" if interrupted else "the input ended before the answer")
+    assert found["error"] == ("interrupted" if interrupted else "the input ended before the answer")
     assert "Aborted" not in error
     assert ("the input ended" in error) != interrupted

@@ -102,7 +102,7 @@ def ending(end: KeyboardInterrupt | click.Abort | Terminated) -> tuple[str, int]
         return f"ended by {signal.Signals(int(end.code or 0) - 128).name}", int(end.code or 0)
     # at a question click turns both Ctrl-C and the end of the input into Abort
     if isinstance(end, KeyboardInterrupt) or not isinstance(end.__context__, EOFError):
-        return "ended by Ctrl-C", 128 + signal.SIGINT
+        return "interrupted", 128 + signal.SIGINT
     click.echo("surffollow: the input ended before the answer", err=True)
     return "the input ended before the answer", 1
 
