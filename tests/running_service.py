@@ -71,6 +71,18 @@ def freeze(pid: int) -> None:
     )
 
 
+def interrupt(child: subprocess.Popen[Any]) -> None:
+    """Ctrl-C at a question, until it ends the process: `input` may lose one while it flushes stderr."""
+
+    def ended() -> bool:
+        child.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(0.5)
+        return child.poll() is not None
+
+    until(ended, "its end")
+
+
 def quickest(action: Callable[[], Any], tries: int = 5) -> float:
     """Seconds that the quickest of several tries took: what else runs on the machine delays some, not all."""
     taken = []

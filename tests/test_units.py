@@ -30,7 +30,8 @@ from surffollow.units import decimal_number, format_ns, numbers_text, parse_quan
         (" 2 ft ", "m", 0.6096),
         ("50 %", "1", 0.5),
         ("4 KiB", "B", 4096.0),
-        ("12", "m", 12.0),
+        ("12", "1", 12.0),
+        ("0", "m", 0.0),
         (12, "m", 12.0),
         (0.25, "s", 0.25),
     ],
@@ -55,6 +56,9 @@ def test_a_quantity_is_converted_into_the_asked_unit(text, unit, value):
         (math.inf, "m", "not a finite quantity"),
         (True, "m", "True is no quantity"),
         (None, "s", "None is no quantity; write a number or text like '5 s'"),
+        ("300", "m", "'300' has no unit; write one, like '300 mm', or 300 without quotes for m"),
+        ("0.1", "s", "like '0.1 ms', or 0.1 without quotes for s"),
+        ("5", "rad/s", "like '5 rad/s'"),
         ([1], "s", "no quantity"),
         (b"1 m", "m", "no quantity"),
     ],
@@ -63,6 +67,10 @@ def test_what_is_no_quantity_is_refused_with_a_remedy(value, unit, says):
     with pytest.raises(UsageError) as e:
         parse_quantity(value, unit)
     assert says in str(e.value)
+
+
+def test_an_option_of_a_command_is_text_and_may_be_a_bare_number():
+    assert parse_quantity("0.1", "m/s", bare=True) == 0.1
 
 
 @given(st.text(max_size=30))

@@ -37,13 +37,17 @@ def cli_page() -> str:
 This page is for users of the command line. It has the help text of every command.
 `python tools/write_docs.py` writes it from the program.
 
-Exit codes: 0 done, 1 fault, 2 wrong usage.
+Exit codes: 0 done, 1 fault, 2 wrong usage, 130 interrupted by Ctrl-C. Commands that run until Ctrl-C
+exit with 0 then. SIGTERM and SIGHUP end the commands that run until Ctrl-C in the same way. They end
+`demo`, `arbiter demo` and `benchmark` in order with 143 and 129, and `scan run` and a waiting `simulate`
+with 130.
 
 With `--json` an error is one JSON object on stdout: `error` (its text), `kind` (its class of
 `surffollow.errors`) and `exit_code`. The text is on stderr, with `--json` too. `blocks watch` and
-`arbiter history` print the object as their last line.
+`arbiter history` print the object as their last line. An early end by Ctrl-C or a signal is an error of
+the kind `KeyboardInterrupt` (`Abort` at a question) or `Terminated`.
 """
-    settings = {"terminal_width": 100, "max_content_width": 100}
+    settings = {"terminal_width": 100, "max_content_width": 100, **cli.context_settings}
     for name, command in (("surffollow", cli), *commands(cli, "surffollow")):
         with click.Context(command, info_name=name, **settings) as ctx:  # type: ignore[arg-type]
             text += f"\n## {name}\n\n```text\n{command.get_help(ctx)}\n```\n"

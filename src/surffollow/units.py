@@ -52,6 +52,8 @@ _UNITS: dict[str, tuple[str, float | Fraction]] = {
     "%": ("number", 1e-2),
     "V": ("voltage", 1.0),
 }
+# what an error shows as a unit that a quantity can have
+_USUAL = {"m": "mm", "s": "ms", "ns": "ms", "rad": "deg", "m/s": "mm/s"}
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*$")
 
 
@@ -98,7 +100,7 @@ def _exact_scale(unit: str, si_unit: str) -> Fraction:
     return Fraction(str(factor)) / Fraction(str(si))
 
 
-def parse_quantity(value: object, unit: str) -> float:
+def parse_quantity(value: object, unit: str, bare: bool = False) -> float:
     """The number, in `unit`, of a quantity written as text with a unit or as a plain number.
 
     Parameters
@@ -107,6 +109,8 @@ def parse_quantity(value: object, unit: str) -> float:
         "0.1 in", "7 ms", 0.1 (already in `unit`)
     unit : str
         what the result is in, e.g. "m", "ns"
+    bare : bool
+        text without a unit is in `unit`, as in an option of a command, which is always text
 
     Returns
     -------
@@ -116,7 +120,8 @@ def parse_quantity(value: object, unit: str) -> float:
     Raises
     ------
     UsageError
-        not a number, not finite, unknown unit, wrong dimension
+        not a number, not finite, unknown unit, wrong dimension, or text without a unit: a number other than
+        0 of a quantity with a dimension
 
     Examples
     --------
@@ -136,6 +141,11 @@ def parse_quantity(value: object, unit: str) -> float:
             # a number that a float can hold has a fraction of bounded size
             if number != 0.0 and math.isfinite(number):
                 number = _rounded(Fraction(match[1]) * scale)
+        elif number != 0.0 and not bare and _UNITS[unit][0] != "number":
+            usual = f"{match[1]} {_USUAL.get(unit, unit)}"
+            raise UsageError(
+                f"{value!r} has no unit; write one, like '{usual}', or {match[1]} without quotes for {unit}"
+            )
     else:
         number = float(value)
     if not math.isfinite(number):

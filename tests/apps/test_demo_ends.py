@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -63,7 +64,7 @@ def test_a_demonstration_that_is_ended_by_a_signal_leaves_no_process_and_no_memo
     number: signal.Signals, tmp_path: Path
 ) -> None:
     words = ["demo", "--seconds", "60", "--json", "--keep", str(tmp_path)]
-    demo = subprocess.Popen([sys.executable, "-m", "surffollow", *words], stdout=subprocess.DEVNULL)
+    demo = subprocess.Popen([sys.executable, "-m", "surffollow", *words], stdout=subprocess.PIPE, text=True)
     name = f"demo-{demo.pid}"
     try:
         # GIVEN a demonstration with all of its processes
@@ -73,6 +74,16 @@ def test_a_demonstration_that_is_ended_by_a_signal_leaves_no_process_and_no_memo
         demo.send_signal(number)
         code = demo.wait(60.0)
         assert code == (-number if number == signal.SIGKILL else 128 + number)
+        assert demo.stdout is not None
+        said = demo.stdout.read()
+        if number == signal.SIGKILL:
+            assert said == ""
+        else:
+            assert json.loads(said) == {
+                "error": f"ended by {number.name}",
+                "kind": "Terminated",
+                "exit_code": code,
+            }
         # THEN no process and no object is left
         until(lambda: not living(name), "the end of its children", 60.0)
         assert objects_of(name) == set()

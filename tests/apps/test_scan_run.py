@@ -14,7 +14,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from running_service import READY_S, WAIT_S, Service, begin_command, config_text, run_command, until
+from running_service import (
+    READY_S,
+    WAIT_S,
+    Service,
+    begin_command,
+    config_text,
+    interrupt,
+    run_command,
+    until,
+)
 from surffollow.apps import scan_control
 from surffollow.apps.scan_control import ControlServer, ask
 from surffollow.apps.scan_report import inside_text, title_text
@@ -130,6 +139,21 @@ def test_nothing_moves_before_somebody_confirms(service, folder):
     assert child.returncode == 1
     assert "nothing moved" in error
     assert out == ""
+
+
+def test_an_interrupt_before_the_start_is_one(folder):
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "surffollow", "scan", "run", str(folder / "path.csv")]
+    with subprocess.Popen(command, stdin=theirs, stderr=subprocess.PIPE) as child:
+        said = b""
+        while b"Start the scan?" not in said:
+            said += os.read(child.stderr.fileno(), 1000)
+        interrupt(child)
+        rest = child.stderr.read()
+    os.close(ours)
+    os.close(theirs)
+    assert child.returncode == 130
+    assert b"Aborted" not in rest
 
 
 def test_pause_resume_and_abort_by_commands(service, folder):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -160,6 +161,12 @@ def test_every_event_that_the_server_knows_is_known_and_the_file_of_a_history_is
 
     words = [sys.executable, "-m", "surffollow", "arbiter", "history", "--name", arbiter.name, "--json"]
     lines = subprocess.run([*words, "--last", "4000"], capture_output=True, text=True, check=True).stdout
+    pipe = subprocess.PIPE
+    with subprocess.Popen([*words, "--follow"], stdout=pipe, stderr=pipe) as watch:
+        watch.stdout.readline()
+        watch.send_signal(signal.SIGINT)
+        assert watch.communicate(timeout=60)[1] == b""
+    assert watch.returncode == 0, "Ctrl-C is its normal end"
     file = tmp_path / "history.jsonl"
     file.write_text(lines)
     assert audit_file(file).violations == []

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -89,6 +90,17 @@ def test_watch_prints_each_change_it_sees(space, platform):
         lines += watch.stdout.readlines()
     assert [json.loads(line)["values"]["t_ns"] for line in lines] == [5, 6]
     assert "state='home'" in run("watch", f"{space}.platform", "--count", "1")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_watch_ends_quietly_on_a_signal(space, platform, number):
+    words = [sys.executable, "-m", "surffollow", "blocks", "watch", f"{space}.platform"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen([*words, "--every", "5"], stdout=pipe, stderr=pipe) as watch:
+        watch.stdout.readline()
+        watch.send_signal(number)
+        assert watch.communicate(timeout=60) == (b"", b"")
+    assert watch.returncode == 0
 
 
 def no_constant(text: str) -> None:

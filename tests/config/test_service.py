@@ -21,7 +21,7 @@ from surffollow.config.service import (
     parse_config,
     seconds,
 )
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, MapFileError
 from surffollow.hw.registry import make_driver
 from surffollow.service.initialise import initialise_constants
 from surffollow.shm.dtypes import zeros
@@ -86,6 +86,9 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"period": "19.999 us"}, ["period", "between 2e-05 and 1"]),
         ({"period": 5}, ["period", "between 2e-05 and 1 s"]),
         ({"period": [1]}, ["period"]),
+        ({"period": "0.001"}, ["key period: '0.001' has no unit", "0.001 without quotes for s"]),
+        ({"map": {"gate": "0.01"}}, ["map.gate: '0.01' has no unit", "0.01 without quotes for m"]),
+        ({"follow": {"offset": "0.1"}}, ["offset: '0.1' has no unit", "0.1 without quotes for m"]),
         ({"realtime": {"priority": 99}}, ["realtime.priority", "99", "between 1 and 98"]),
         ({"realtime": {"overrun": "panic"}}, ["realtime.overrun", "'skip' or 'catch-up'"]),
         ({"realtime": {"spin": "1 s"}}, ["realtime.spin"]),
@@ -144,6 +147,46 @@ def test_a_file_in_another_encoding_is_reported_and_not_a_crash(tmp_path):
         load_config(bad)
 
 
+@pytest.mark.parametrize(
+    ("driver", "key", "expected"),
+    [
+        ('kind = "replay"\nfile = "log.npz"', "file", "FOLDER/log.npz"),
+        ('kind = "replay"\nfile = "../log.npz"', "file", "PARENT/log.npz"),
+        ('kind = "replay"\nfile = "/log.npz"', "file", "/log.npz"),
+        ('kind = "serial"\nport = "laser"', "port", "FOLDER/laser"),
+        ('kind = "serial"\nport = "socket://host:7"', "port", "socket://host:7"),
+        ('calibration = "laser.json"', "calibration", "FOLDER/laser.json"),
+        ('calibration = ""', "calibration", ""),
+        ('kind = "other:make"\ncalibration = "a.json"', "calibration", "FOLDER/a.json"),
+        ('kind = "other:make"\nfile = "a.npz"', "file", "a.npz"),
+        ('[driver.world]\nfile = "true.npz"', "world", {"file": "FOLDER/true.npz"}),
+        ('[driver.world]\nsurface = "flat"', "world", {"surface": "flat"}),
+    ],
+)
+def test_files_lie_beside_the_configuration_file(tmp_path, monkeypatch, driver, key, expected):
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    (folder / "service.toml").write_text(f"[driver]\n{driver}\n")
+
+    def named(value):
+        return value.replace("FOLDER", str(folder)).replace("PARENT", str(tmp_path))
+
+    monkeypatch.chdir(tmp_path)
+    for path in (folder / "service.toml", "elsewhere/service.toml"):
+        found = load_config(path).driver[key]
+        wanted = {k: named(v) for k, v in expected.items()} if isinstance(expected, dict) else named(expected)
+        assert found == wanted
+
+
+def test_a_file_that_is_not_there_is_named_with_its_folder(tmp_path, monkeypatch):
+    (tmp_path / "arm.toml").write_text('[driver.world]\nfile = "true.npz"\n')
+    monkeypatch.chdir(tmp_path)
+    config = load_config("arm.toml")
+    with pytest.raises(MapFileError) as e:
+        make_driver(config.driver, "files")
+    assert str(tmp_path / "true.npz") in str(e.value)
+
+
 @pytest.mark.parametrize(("text", "value"), [("0640", 0o640), ("660", 0o660), ("0", 0), ("666", 0o666)])
 def test_modes_are_octal(text, value):
     assert mode(text, "access.socket_mode") == value
@@ -154,6 +197,7 @@ def test_modes_are_octal(text, value):
     [
         ('[driver]\nkind = "telepathy"\n', "driver kind 'telepathy' is unknown"),
         ("[driver]\nchannels = 9\n", "channels = 9"),
+        ('[driver]\nrange_max_m = "300"\n', "range_max_m: '300' has no unit; write one, like '300 mm'"),
         ("[follow]\noffset = 0.4\n", "outside the sensor's window"),
         ('[follow]\ntoo_close = "80 mm"\n', "too_close_m 0.08 m is above too_close_exit_m 0.05842 m"),
         ('[follow]\nrange_min = "0.2 m"\n', "range_min_m 0.2 m is not below range_max_m"),

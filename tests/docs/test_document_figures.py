@@ -42,7 +42,7 @@ def value_of(constant: str) -> float:
 def said(figure: str, constant: str) -> float:
     """The number that a figure says, in the unit of the constant."""
     unit = UNITS.get(constant.rpartition("_")[2].upper(), "1")
-    return parse_quantity(figure.replace(",", ""), unit)
+    return parse_quantity(figure.replace(",", ""), unit, bare=True)
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if NAMED.search(p.read_text())], ids=lambda p: p.name)

@@ -27,6 +27,17 @@ def test_table_of_parameters_is_current():
     assert done.returncode == 0, done.stderr + "; run tools/write_docs.py"
 
 
+@pytest.mark.parametrize("words", [(), ("latency",), ("blocks", "watch"), ("scan", "run")])
+def test_the_page_of_commands_shows_the_help_of_the_program(words: tuple[str, ...]) -> None:
+    page = (ROOT / "docs/reference/cli.md").read_text()
+    code = "import sys; from surffollow.cli.main import cli; cli(terminal_width=100, max_content_width=100)"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words, "-h"], capture_output=True, text=True, check=True
+    )
+    shown = done.stdout.replace("Usage: -c", "Usage: surffollow")
+    assert shown in page
+
+
 def test_example_configuration_is_accepted():
     text = (ROOT / "docs" / "reference" / "configuration.md").read_text()
     example = re.search(r"```toml\n(.*?)```", text, re.S)

@@ -201,6 +201,11 @@ def test_unknown_ground_is_flagged_and_its_silence_is_found(tmp_path):
     assert plan.has(UNKNOWN_BENEATH).any()
     assert not plan.has(UNKNOWN_BENEATH).all()
     assert "unknown_beneath" not in failed(ground, file)
+    # the plan says as many as the checker
+    flagged = np.count_nonzero(plan.has(UNKNOWN_BENEATH))
+    assert f"0 samples over unknown ground are not flagged ({flagged} are), and 0 poses between" in [
+        f.text for f in check_path(ground.heights_m, ground.origin_m, ground.grid_m, file)
+    ]
     lines = file.read_text().splitlines()
     quiet = [x if x[0] in "#t" else ",".join([*x.split(",")[:-1], "0"]) for x in lines]
     file.write_text("\n".join(quiet) + "\n")

@@ -176,10 +176,30 @@ def test_latency_measures_and_prints_percentiles_and_a_histogram():
 
 
 @pytest.mark.parametrize(
-    "line", [["--period", "1 mm"], ["--period", "1 ns"], ["--seconds", "0"], ["--priority", "100"]]
+    ("line", "says"),
+    [
+        (["--period", "1 mm"], "a time in 's'"),
+        (["--period", "1 ns"], "0.00002 to 1 s"),
+        (["--spin", "11 ms"], "0 to 0.01 s"),
+        (["--seconds", "0"], "0.01<=x<=3600"),
+        (["--runs", "0"], "1<=x<=1000"),
+        (["--priority", "100"], "1<=x<=99"),
+        (["--cpu", "-2"], "x>=-1"),
+        (["--cpu", "99999"], "--cpu 99999 is no processor that this process may use; give one of ["),
+        (["--cpu", str(10**30)], "is no processor"),
+    ],
 )
-def test_latency_refuses_what_cannot_be(line):
-    assert isinstance(CliRunner().invoke(latency_command, line).exception, UsageError)
+def test_latency_refuses_what_cannot_be(line, says):
+    done = CliRunner().invoke(latency_command, line)
+    refused = isinstance(done.exception, UsageError)
+    assert refused or done.exit_code == 2
+    assert says in (str(done.exception) if refused else done.output)
+
+
+def test_help_of_latency_has_the_bounds_of_its_options():
+    text = " ".join(CliRunner().invoke(latency_command, ["--help"]).output.split())
+    for bounds in ("0.01<=x<=3600.0", "20 us to 1 s", "1<=x<=1000", "up to 10 ms", "1<=x<=99"):
+        assert bounds in text
 
 
 LOGIND = "run__systemd__system__x"
@@ -285,6 +305,34 @@ def test_the_example_unit_is_valid_and_shut_in_and_a_bad_one_is_not(tmp_path):
     assert "Restrat" in bad["unit"].found
     unit.write_text("[Service]\nExecStart=/bin/true\n")
     assert {f.name: f.state for f in examine_unit(unit)}["exposure"] == "lacking"
+
+
+ABSENT = "a.service: Command /usr/local/bin/none is not executable: No such file or directory"
+UNKNOWN_KEY = "a.service:25: Unknown key 'Restrat' in section [Service], ignoring."
+
+
+@pytest.mark.parametrize(
+    ("code", "said", "unit", "executable"),
+    [
+        (0, "", "valid", None),
+        (1, ABSENT, "valid", ABSENT),
+        (1, f"{UNKNOWN_KEY}\n{ABSENT}", UNKNOWN_KEY, ABSENT),
+        (1, f"{ABSENT}\n{UNKNOWN_KEY}", UNKNOWN_KEY, ABSENT),
+        (0, UNKNOWN_KEY, UNKNOWN_KEY, None),
+    ],
+)
+def test_an_absent_program_has_its_own_reason_and_remedy(monkeypatch, code, said, unit, executable):
+    monkeypatch.setattr("surffollow.service.doctor_unit.shutil.which", lambda _: "/usr/bin/systemd-analyze")
+    monkeypatch.setattr("surffollow.service.doctor_unit._analyze", lambda word, *_: (code, said))
+    found = {f.name: f for f in examine_unit(UNIT)}
+    assert found["unit"].found == unit
+    assert (found["unit"].state == "good") == (unit == "valid")
+    if executable is None:
+        assert "executable" not in found
+        return
+    assert (found["executable"].found, found["executable"].state) == (executable, "lacking")
+    assert "ExecStart" in found["executable"].remedy
+    assert "ignores" not in found["executable"].why
 
 
 def test_a_unit_file_that_is_not_there_and_a_machine_without_systemd(tmp_path, monkeypatch):

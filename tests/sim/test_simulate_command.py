@@ -92,7 +92,7 @@ def test_a_signal_ends_the_wait_for_a_service(number: signal.Signals) -> None:
     until(lambda: os.path.exists(f"/dev/shm/{NAME}.world"), "the wait")
     process.send_signal(number)
     process.communicate(timeout=WAIT_S)
-    assert process.returncode == 1
+    assert process.returncode == 130
     assert not os.path.exists(f"/dev/shm/{NAME}.world")
 
 

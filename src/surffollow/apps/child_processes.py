@@ -123,28 +123,3 @@ def no_leftovers(name: str) -> Iterator[None]:
         purge(name)
         janitor.kill()
         janitor.communicate()
-
-
-class Terminated(SystemExit):
-    """A signal asked the demonstration to end."""
-
-
-@contextlib.contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise `Terminated` once, so that everything is tidied up; later ones wait."""
-
-    def end(number: int, _: object) -> None:
-        for n in before:
-            signal.signal(n, signal.SIG_IGN)
-        raise Terminated(128 + number)
-
-    numbers = (signal.SIGTERM, signal.SIGHUP)
-    # signals that nohup ignores stay ignored
-    before = {n: h for n in numbers if (h := signal.getsignal(n)) != signal.SIG_IGN}
-    try:
-        for n in before:
-            signal.signal(n, end)
-        yield
-    finally:
-        for n, handler in before.items():
-            signal.signal(n, handler)

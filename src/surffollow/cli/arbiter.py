@@ -116,17 +116,19 @@ def _status_in(name: str, wait_s: float) -> dict[str, Any]:
 def history_command(name: str, last: int, follow: bool, seconds: float, as_json: bool) -> None:
     """Print who asked, held, lost and commanded what."""
     from surffollow.arbiter import observe
+    from surffollow.cli.progress import stop_event
 
+    stop = stop_event()
     until = time.monotonic() + seconds if seconds > 0 else float("inf")
     with observe(name) as arbiter:
         history = arbiter.history()
         for event in history.newest(last):
             _print_event(event, as_json)
-        while follow and time.monotonic() < until and arbiter.alive():
+        while follow and not stop.is_set() and time.monotonic() < until and arbiter.alive():
             for event in history:
                 _print_event(event, as_json)
             sys.stdout.flush()
-            time.sleep(0.01)
+            stop.wait(0.01)
     if history.lost:
         print(f"surffollow: {history.lost} records were overwritten before they were read", file=sys.stderr)
 
@@ -235,8 +237,8 @@ def demo_command(seconds: float, combine: str, as_json: bool) -> None:
     import tempfile
     from pathlib import Path
 
-    from surffollow.apps.child_processes import ended_by_signals
     from surffollow.apps.shared_demo import run_shared_demo
+    from surffollow.shm.ending_signals import ended_by_signals
 
     def progress(text: str) -> None:
         print(f"surffollow: {text}", file=sys.stderr, flush=True)

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from surffollow.errors import UsageError
+from surffollow.shm.ending_signals import ended_by_signals
 from surffollow.units import parse_quantity
 
 
@@ -26,7 +27,7 @@ class Quantities(click.ParamType):  # type: ignore[type-arg]  # generic only in 
         if isinstance(value, list):
             return value
         try:
-            return [parse_quantity(part, self.unit) for part in str(value).split(",")]
+            return [parse_quantity(part, self.unit, bare=True) for part in str(value).split(",")]
         except UsageError as error:
             self.fail(str(error), param, ctx)
 
@@ -118,7 +119,8 @@ def benchmark_command(
         folder=folder,
         processes=processes,
     )
-    outcome = evaluation.run(request, _Progress())
+    with ended_by_signals():  # its processes end with it
+        outcome = evaluation.run(request, _Progress())
     click.echo(json.dumps(outcome.json, allow_nan=False) if as_json else outcome.text)
     sys.exit(0 if outcome.passed else 1)
 

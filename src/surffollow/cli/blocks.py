@@ -15,6 +15,7 @@ from surffollow.cli.option_types import Finite
 from surffollow.units import numbers_text
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Callable
 
     from surffollow.blocks import AttachedBlock
@@ -126,22 +127,31 @@ def _every_option(default: float, text: str) -> Callable[[Any], Any]:
 def watch_command(block: str, as_json: bool, every: float, count: int, seconds: float) -> None:
     """Print BLOCK's values whenever they changed, until Ctrl-C; follows its writer through restarts."""
     from surffollow.blocks.listing import attach_unknown
+    from surffollow.cli.progress import stop_event
     from surffollow.config.trusted_users import trusted_owners
     from surffollow.errors import UsageError
 
     if every < WATCH_POLL_S:
         raise UsageError(f"--every must be at least {WATCH_POLL_S:g} s, not {every:g}")
+    stop = stop_event()
     attached = attach_unknown(block, trusted_owners())
     deadline = time.monotonic() + seconds if seconds > 0 else None
     try:
-        _watch(attached, as_json, every, count, deadline)
+        _watch(attached, as_json, every, count, deadline, stop)
     finally:
         attached.close()
 
 
-def _watch(attached: AttachedBlock, as_json: bool, every: float, count: int, deadline: float | None) -> None:
+def _watch(
+    attached: AttachedBlock,
+    as_json: bool,
+    every: float,
+    count: int,
+    deadline: float | None,
+    stop: threading.Event,
+) -> None:
     last, printed = (-1, -1), 0
-    while (not count or printed < count) and (deadline is None or time.monotonic() < deadline):
+    while not stop.is_set() and (deadline is None or time.monotonic() < deadline):
         snapshot = attached.latest()
         this = (snapshot.epoch, snapshot.generation)
         if this != last and snapshot.generation:
@@ -153,7 +163,9 @@ def _watch(attached: AttachedBlock, as_json: bool, every: float, count: int, dea
             else:
                 text = ", ".join(f"{k}={_flat(v)}" for k, v in values.items())
                 print(f"{this[1]:>8}  {text}", flush=True)
-        time.sleep(every if not count or printed < count else 0)
+        if count and printed >= count:
+            break
+        stop.wait(every)
 
 
 def _flat(value: Any) -> str:

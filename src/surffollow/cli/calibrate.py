@@ -194,7 +194,7 @@ def guided(name: str, channel: int, seconds: float, unit: str) -> tuple[list[flo
             if not text:
                 return indicated, true
             try:
-                distance = parse_quantity(text, unit)
+                distance = parse_quantity(text, unit, bare=True)
             except ValueError as error:
                 print(f"  {error}", file=sys.stderr)
                 continue

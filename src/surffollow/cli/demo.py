@@ -63,10 +63,10 @@ def demo_command(
     surface = surface or ("fy91" if sensors is None else "dome")
     if speed is None:
         speed = 0.05 if sensors is None else 0.1
-    from surffollow.apps.child_processes import ended_by_signals
     from surffollow.apps.demo import demo_folder, run_demo
     from surffollow.apps.demo_figures import table
     from surffollow.apps.demo_task import DemoConfig, check_task
+    from surffollow.shm.ending_signals import ended_by_signals
 
     config = DemoConfig(
         seconds=seconds,

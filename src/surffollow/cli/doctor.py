@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
 from surffollow.cli.option_types import Finite
+from surffollow.errors import UsageError
 
 _MARKS = {"good": "ok", "fair": "fair", "lacking": "LACKS", "unknown": "?"}
 _BAR = 50
@@ -50,47 +52,89 @@ def doctor_command(as_json: bool, unit: str | None) -> None:
         print("measure what comes of it: surffollow latency")
 
 
+def _duration(low_s: float, high_s: float) -> Callable[[click.Context, click.Parameter, str], int]:
+    """Option callback for a duration between bounds; a bare number is in seconds. The command gets ns."""
+
+    def parse(ctx: click.Context, param: click.Parameter, value: str) -> int:
+        from surffollow.units import parse_quantity
+
+        try:
+            duration_s = parse_quantity(value, "s", bare=True)
+        except UsageError as error:
+            raise click.BadParameter(str(error), ctx, param) from None
+        if not low_s <= duration_s <= high_s:
+            bounds = f"{low_s:.7f}".rstrip("0").rstrip(".") + f" to {high_s:g} s"
+            raise click.BadParameter(f"{value!r} is not in the range of {bounds}", ctx, param)
+        return round(duration_s * 1e9)
+
+    return parse
+
+
 @click.command("latency")
-@click.option("--seconds", type=Finite(min=0.0), default=3.0, show_default=True, help="Length of each run.")
-@click.option("--period", default="1 ms", show_default=True, help="Time between wake-ups.")
-@click.option("--runs", default=2, show_default=True, help="Runs of ours, alternating with cyclictest's.")
-@click.option("--spin", default="120 us", show_default=True, help="Spin that long before each deadline.")
-@click.option("--priority", default=80, show_default=True, help="SCHED_FIFO priority.")
-@click.option("--cpu", default=-1, show_default=True, help="Processor; -1: the last one allowed.")
+@click.option(
+    "--seconds", type=Finite(0.01, 3600.0), default=3.0, show_default=True, help="Length of each run."
+)
+@click.option(
+    "--period",
+    callback=_duration(20e-6, 1.0),
+    default="1 ms",
+    show_default=True,
+    help="Time between wake-ups, 20 us to 1 s.",
+)
+@click.option(
+    "--runs",
+    type=click.IntRange(1, 1000),
+    default=2,
+    show_default=True,
+    help="Runs of ours, alternating with cyclictest's.",
+)
+@click.option(
+    "--spin",
+    callback=_duration(0.0, 0.01),
+    default="120 us",
+    show_default=True,
+    help="Spin that long before each deadline, up to 10 ms.",
+)
+@click.option(
+    "--priority", type=click.IntRange(1, 99), default=80, show_default=True, help="SCHED_FIFO priority."
+)
+@click.option(
+    "--cpu",
+    type=click.IntRange(-1),
+    default=-1,
+    show_default=True,
+    help="Processor; -1: the last one allowed.",
+)
 @click.option("--cyclictest/--no-cyclictest", "beside", default=True, help="Run cyclictest in between.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def latency_command(
     seconds: float,
-    period: str,
+    period: int,
     runs: int,
-    spin: str,
+    spin: int,
     priority: int,
     cpu: int,
     beside: bool,
     as_json: bool,
 ) -> None:
     """Measure how late the service's own wait wakes up here: percentiles and a histogram."""
-    from surffollow.errors import UsageError
-    from surffollow.units import parse_quantity
+    import os
 
-    # a bare number is in seconds
-    period_ns, spin_ns = (round(parse_quantity(text, "s") * 1e9) for text in (period, spin))
-    for name, value, low, high in (
-        ("--seconds", seconds, 0.01, 3600.0),
-        ("--period", period_ns / 1e9, 20e-6, 1.0),
-        ("--spin", spin_ns / 1e9, 0.0, 0.01),
-        ("--runs", runs, 1, 1000),
-        ("--priority", priority, 1, 99),
-    ):
-        if not low <= value <= high:
-            raise UsageError(f"{name} must be {low:g} to {high:g}, not {value:g}")
+    allowed = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, allowed if cpu < 0 else {cpu})
+    except (OSError, OverflowError, ValueError):
+        raise UsageError(
+            f"--cpu {cpu} is no processor that this process may use; give one of {sorted(allowed)}"
+        ) from None
+    os.sched_setaffinity(0, allowed)
     from surffollow.service.doctor_latency import measure
 
     result = measure(
-        period_ns=period_ns,
+        period_ns=period,
         seconds=seconds,
         runs=runs,
-        spin_ns=spin_ns,
+        spin_ns=spin,
         priority=priority,
         beside=beside,
         cpu=cpu,

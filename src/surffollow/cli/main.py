@@ -7,6 +7,7 @@ import gc
 import importlib
 import io
 import os
+import signal
 import sys
 from typing import Any
 
@@ -15,6 +16,7 @@ import click
 from surffollow.cli import old_names
 from surffollow.errors import SurffollowError, UsageError
 from surffollow.extras import missing_library
+from surffollow.shm.ending_signals import Terminated
 
 # a disk, or a share of it, that is full or gone
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -68,6 +70,11 @@ class LazyGroup(click.Group):
             if ctx.meta[AS_JSON]:
                 print_error(error)
             raise
+        except (KeyboardInterrupt, click.Abort, Terminated) as end:
+            text, code = ending(end)
+            if ctx.meta[AS_JSON]:
+                click.echo(json_error(text, type(end).__name__, code))
+            raise click.exceptions.Exit(code) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
@@ -89,10 +96,26 @@ def one_object_is_printed(ctx: click.Context) -> None:
     ctx.meta[AS_JSON] = False
 
 
-def print_error(error: SurffollowError | click.ClickException | ModuleNotFoundError) -> None:
-    """Print an error as one JSON object on stdout: text, class of `surffollow.errors`, exit code."""
+def ending(end: KeyboardInterrupt | click.Abort | Terminated) -> tuple[str, int]:
+    """Why a command ended early, and its exit code: 128 and the number of the signal."""
+    if isinstance(end, Terminated):
+        return f"ended by {signal.Signals(int(end.code or 0) - 128).name}", int(end.code or 0)
+    # at a question click turns both Ctrl-C and the end of the input into Abort
+    if isinstance(end, KeyboardInterrupt) or not isinstance(end.__context__, EOFError):
+        return "interrupted", 128 + signal.SIGINT
+    click.echo("surffollow: the input ended before the answer", err=True)
+    return "the input ended before the answer", 1
+
+
+def json_error(text: str, kind: str, code: int) -> str:
+    """An error as one JSON object."""
     import json
 
+    return json.dumps({"error": text, "kind": kind, "exit_code": code})
+
+
+def print_error(error: SurffollowError | click.ClickException | ModuleNotFoundError) -> None:
+    """Print an error as one JSON object on stdout: text, class of `surffollow.errors`, exit code."""
     kind, text, code = type(error).__name__, str(error), 1
     if isinstance(error, ModuleNotFoundError):
         text = missing_library(error)
@@ -102,7 +125,7 @@ def print_error(error: SurffollowError | click.ClickException | ModuleNotFoundEr
         kind, text, code = UsageError.__name__, error.format_message(), error.exit_code
     else:
         code = error.exit_code
-    click.echo(json.dumps({"error": text, "kind": kind, "exit_code": code}))
+    click.echo(json_error(text, kind, code))
 
 
 def print_includedir(ctx: click.Context, param: click.Parameter, expected: bool) -> None:

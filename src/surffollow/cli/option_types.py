@@ -107,7 +107,7 @@ class Length(click.ParamType):  # type: ignore[type-arg]  # generic only in clic
         if isinstance(value, float):
             return value
         try:
-            return parse_quantity(str(value), "m")
+            return parse_quantity(str(value), "m", bare=True)
         except UsageError as error:
             self.fail(str(error), param, ctx)
 

@@ -43,7 +43,7 @@ class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in cl
         if isinstance(value, float):
             return value
         try:
-            return parse_quantity(str(value), self.unit)
+            return parse_quantity(str(value), self.unit, bare=True)
         except UsageError as error:
             self.fail(str(error), param, ctx)
 
@@ -70,7 +70,7 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in cli
         if isinstance(value, tuple):
             return value
         try:
-            made = tuple(parse_quantity(v, "m") for v in str(value).replace(",", " ").split())
+            made = tuple(parse_quantity(v, "m", bare=True) for v in str(value).replace(",", " ").split())
         except UsageError as error:
             self.fail(str(error), param, ctx)
         if len(made) not in self.counts:

@@ -24,7 +24,7 @@ def quantity(unit: str) -> Any:
         from surffollow.units import parse_quantity
 
         try:
-            return float(parse_quantity(value, unit))
+            return float(parse_quantity(value, unit, bare=True))
         except ValueError as error:
             raise click.BadParameter(str(error), ctx, param) from error
 

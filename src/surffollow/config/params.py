@@ -93,7 +93,7 @@ def check_param(name: str, value: object) -> float:
         one of `PARAMS`, with or without its unit ending ("offset" = "offset_m")
     value : object
         a number, text with a unit, or one of the parameter's choices; False and True for off and on. A
-        number without a unit is in SI units. A duration in ns is 0, or needs the full name ("hold_ns")
+        number is in SI units. A duration in ns is 0, or needs the full name ("hold_ns")
 
     Raises
     ------
@@ -111,7 +111,7 @@ def check_param(name: str, value: object) -> float:
         expected = f"one of {', '.join(spec.choices)}" if spec.choices else "a number"
         raise ConfigError(f"parameter {name} is {value}; it must be {expected}")
     try:
-        number = parse_quantity(value, spec.unit)
+        number = parse_quantity(value, spec.unit, bare=spec.unit == "ns" and not name.endswith("_ns"))
     except ValueError as e:
         raise ConfigError(f"parameter {name}: {e}") from None
     if spec.unit == "ns" and not name.endswith("_ns") and number != 0.0 and is_bare(value):

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from surffollow.config.driver_files import with_absolute_files
 from surffollow.config.limits import CHANGED_BY, check_within_limits, client_limits, range_user
 from surffollow.config.names import check_service_name
 from surffollow.config.params import PARAMS, check_param, names_given
@@ -263,11 +264,14 @@ def map_quantum_m(c: ServiceConfig) -> float:
 
 
 def load_config(path: str | Path) -> ServiceConfig:
-    """Read a configuration file.
+    """Read a configuration file; relative paths in it are relative to its folder.
 
     Raises
     ------
     ConfigError
         the file cannot be read, is not TOML, or says something wrong
     """
-    return parse_config(read_toml(path, "configuration", ConfigError), str(path))
+    tables = read_toml(path, "configuration", ConfigError)
+    if isinstance(tables.get("driver"), dict):
+        tables["driver"] = with_absolute_files(tables["driver"], Path(path).parent)
+    return parse_config(tables, str(path))

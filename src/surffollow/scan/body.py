@@ -162,12 +162,12 @@ def parse_body(text: str) -> Floats:
         if shape == "point" and not size:
             return np.zeros((1, 3))
         if shape == "disc":
-            return disc(parse_quantity(size, "m"))
+            return disc(parse_quantity(size, "m", bare=True))
         if shape == "ring":
-            return ring(parse_quantity(size, "m"))
+            return ring(parse_quantity(size, "m", bare=True))
         if shape == "rectangle":
             length, _, width = size.partition("x")
-            return rectangle(parse_quantity(length, "m"), parse_quantity(width, "m"))
+            return rectangle(parse_quantity(length, "m", bare=True), parse_quantity(width, "m", bare=True))
     except ValueError as e:
         raise ScanInputError(f"cannot read the body '{text}': {e}; expected {SHAPES}") from e
     raise ScanInputError(f"unknown body '{text}'; expected {SHAPES}")

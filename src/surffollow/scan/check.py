@@ -87,7 +87,7 @@ def check_path(
         _without_height(*place, rows, facts),
         *check_clearance(*place, control_points(rows, facts), facts.gap, at["clearance_m"][rows.planned]),
         check_between_rows(*place, inner, facts),
-        check_unknown_ground(*place, every, facts),
+        check_unknown_ground(*place, every, len(rows.flags), facts),
         _wrist(axes, rows.azimuth, facts.wrist, rotations(inner.quaternion), inner.azimuth),
         _reach(rows.flags, rows.passes),
         *_motion(at["t_s"], rows.position, facts.speed, facts.acceleration, facts.climb),

@@ -126,9 +126,9 @@ def is_beside(z: Array, origin: tuple[float, float], g: float, xy: Array) -> NDA
 
 
 def check_unknown_ground(
-    z: Array, origin: tuple[float, float], g: float, poses: Poses, facts: Facts
+    z: Array, origin: tuple[float, float], g: float, poses: Poses, samples: int, facts: Facts
 ) -> Finding:
-    """Samples with unknown ground within the gap of a control point must carry the flag.
+    """Poses with unknown ground within the gap of a control point must carry the flag.
 
     Parameters
     ----------
@@ -136,6 +136,7 @@ def check_unknown_ground(
     origin : (x, y) [m]           outer corner of z[0, 0]
     g : float [m]                 side of a cell
     poses : Poses                 rows of the file, and poses between them
+    samples : int                 of these are rows, the first ones
     facts : Facts                 header of the file
     """
     xy, flags = control_points(poses, facts)[:, :, :2], poses.flags[poses.planned]
@@ -145,7 +146,11 @@ def check_unknown_ground(
     distance = tree.query(xy.reshape(-1, 2), distance_upper_bound=facts.gap)[0].reshape(xy.shape[:2])
     # within a cell of the limit either answer is right: the flag is taken per cell
     over = ((distance < facts.gap - 1.5 * g) | is_beside(z, origin, g, xy)).any(axis=1)
-    silent = int(np.count_nonzero(over & (flags & UNKNOWN_BENEATH == 0)))
-    total = int(np.count_nonzero(poses.flags & UNKNOWN_BENEATH))
-    text = f"{silent} samples over unknown ground are not flagged ({total} are)"
-    return Finding("unknown_beneath", silent == 0, text, silent)
+    silent = over & (flags & UNKNOWN_BENEATH == 0)
+    of_rows = int(np.count_nonzero(silent[: np.count_nonzero(poses.planned[:samples])]))
+    between = int(np.count_nonzero(silent)) - of_rows
+    flagged = int(np.count_nonzero(poses.flags[:samples] & UNKNOWN_BENEATH))
+    text = (
+        f"{of_rows} samples over unknown ground are not flagged ({flagged} are), and {between} poses between"
+    )
+    return Finding("unknown_beneath", not silent.any(), text, of_rows + between)

@@ -12,6 +12,7 @@ from surffollow.service.doctor_finding import FAIR, GOOD, LACKING, UNKNOWN, Find
 
 EXPOSURE_GOOD, EXPOSURE_FAIR = 3.0, 5.0  # of 10, as `systemd-analyze security` counts
 _LIMIT_S = 60.0
+_NOT_EXECUTABLE = re.compile(r"^.*Command .* is not executable: .*$\n?", re.MULTILINE)
 
 
 def _analyze(*words: str) -> tuple[int, str]:
@@ -39,9 +40,15 @@ def examine_unit(unit: Path) -> list[Finding]:
         found = "systemd-analyze is not installed here"
         return [Finding(n, UNKNOWN, found, w) for n, w in (("unit", valid_why), ("exposure", shut_why))]
     code, text = _analyze("verify", "--man=no", str(unit))
-    valid = code == 0 and not text
+    absent = "".join(_NOT_EXECUTABLE.findall(text)).strip()
+    text = _NOT_EXECUTABLE.sub("", text).strip()
+    valid = not text and (code == 0 or bool(absent))
     remedy = "" if valid else "mend the lines named, then: systemctl daemon-reload"
     findings = [Finding("unit", GOOD if valid else LACKING, text or "valid", valid_why, remedy)]
+    if absent:
+        why = "systemd starts no service whose program is absent or may not be executed"
+        remedy = "set the path of ExecStart= (command -v surffollow prints it), then: systemctl daemon-reload"
+        findings.append(Finding("executable", LACKING, absent, why, remedy))
     _, text = _analyze("security", "--offline=yes", str(unit))
     level = re.search(r"exposure level for .*?: ([\d.]+)", text)
     if level is None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 
@@ -17,3 +18,28 @@ def handle_ending(handler: Callable[[int, Any], object]) -> None:
     """Give each of them a handler (main thread only)."""
     for number in ending_signals():
         signal.signal(number, handler)
+
+
+class Terminated(SystemExit):
+    """A signal asked the program to end; the code is 128 and its number."""
+
+
+@contextlib.contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise `Terminated` once, so that everything is tidied up; later ones wait."""
+
+    def end(number: int, _: object) -> None:
+        for n in before:
+            signal.signal(n, signal.SIG_IGN)
+        raise Terminated(128 + number)
+
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    # signals that nohup ignores stay ignored
+    before = {n: h for n in numbers if (h := signal.getsignal(n)) != signal.SIG_IGN}
+    try:
+        for n in before:
+            signal.signal(n, end)
+        yield
+    finally:
+        for n, handler in before.items():
+            signal.signal(n, handler)

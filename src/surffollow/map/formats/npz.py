@@ -73,7 +73,7 @@ def read_npz(path: FilePath) -> tuple[NDArray[Any], NDArray[Any]]:
                 raise MapFileError(f"{path} is not a map archive of this version ({_FORMAT})")
             raw, heights, counts = data["header"], data["quanta"], data["counts"]
     except DAMAGED_ARCHIVE as e:
-        raise MapFileError(f"cannot read {path}: {e}") from e
+        raise MapFileError(f"cannot read {path}: {getattr(e, 'strerror', None) or e}") from e
     kinds = (raw.dtype, heights.dtype, counts.dtype)
     if (
         kinds != (np.uint8, np.int16, np.uint8)

@@ -1,0 +1,88 @@
+"""Ctrl-C and other signals: exit codes as documented, with --json one object, and no traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from running_service import interrupt
+
+# a command whose work is interrupted by the signal of the first word
+INTERRUPTED = """
+import os, sys, time
+import surffollow.benchmark.evaluation as evaluation
+number = int(sys.argv.pop(1))
+
+def run(*_):
+    os.kill(os.getpid(), number)
+    time.sleep(60)
+
+evaluation.run = run
+from surffollow.cli.main import main
+main()
+"""
+
+
+def run(number: signal.Signals, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", INTERRUPTED, str(int(number)), "benchmark", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("number", "kind", "says"),
+    [
+        (signal.SIGINT, "KeyboardInterrupt", "interrupted"),
+        (signal.SIGTERM, "Terminated", "ended by SIGTERM"),
+        (signal.SIGHUP, "Terminated", "ended by SIGHUP"),
+    ],
+)
+def test_an_early_end_is_one_object_and_the_number_of_the_signal(
+    number: signal.Signals, kind: str, says: str
+) -> None:
+    plain, as_json = run(number), run(number, "--json")
+    code = 128 + number
+    assert (plain.returncode, plain.stdout, plain.stderr) == (code, "", "")
+    assert (as_json.returncode, as_json.stderr) == (code, "")
+    assert json.loads(as_json.stdout) == {"error": says, "kind": kind, "exit_code": code}
+
+
+ASKING = """
+import click
+from surffollow.cli.main import VERBS, cli, main
+import surffollow.cli.print_header as module
+
+@click.command()
+@click.option("--json", is_flag=True)
+def asks(json):
+    click.confirm("Go on?", err=True)
+
+module.print_header_command = asks
+main()
+"""
+
+
+@pytest.mark.parametrize("interrupted", [True, False])
+def test_an_interrupt_and_the_end_of_the_input_at_a_question_are_told_apart(interrupted: bool) -> None:
+    command = [sys.executable, "-c", ASKING, "print-header", "--json"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as child:
+        assert child.stdin is not None
+        assert child.stderr is not None
+        assert os.read(child.stderr.fileno(), 100).startswith(b"Go on?")
+        if interrupted:
+            interrupt(child)
+        else:
+            child.stdin.close()
+        code = child.wait(60)
+        assert child.stdout is not None
+        found = json.loads(child.stdout.read())
+        error = child.stderr.read()
+    assert code == found["exit_code"] == (130 if interrupted else 1)
+    assert found["error"] == ("interrupted" if interrupted else "the input ended before the answer")
+    assert "Aborted" not in error
+    assert ("the input ended" in error) != interrupted
