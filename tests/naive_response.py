@@ -36,6 +36,7 @@ class NaiveResponse:
     ended: bool = False
     settled_ns: int = 0
     returned_ns: int = 0
+    unshifted_ns: int = 0
     repeats: int = 0
     usual_repeats: float = 0.0
     spread_m: float = 0.0
@@ -117,15 +118,15 @@ class NaiveResponse:
         changed = self.phase != RUN and self.ended
         self.answer_s = self.delay_s + r.STOP_TAUS * self.tau_s + c.MIN_MEANS * self.number * self.interval_s
         if begins or abs(self.mean_m - self.run_m) > allowed_m or changed:
-            short_s = self.delay_s + self.tau_s
-            long_s = short_s + self.tau_s + self.number * self.interval_s
+            back_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s
+            back_ns = t_ns + int(1e9 * back_s)
             if begins:
-                self.settled_ns = self.returned_ns = t_ns
+                self.settled_ns = self.returned_ns = self.unshifted_ns = 0
             elif self.phase != RUN:
-                self.settled_ns = t_ns + int(1e9 * long_s)
-                self.returned_ns = self.settled_ns + int(1e9 * r.ANSWER_TAUS * self.tau_s)
+                self.settled_ns = back_ns
+                self.returned_ns = back_ns + int(1e9 * r.ANSWER_TAUS * self.tau_s)
             elif self.lift_m > 0.0:
-                self.returned_ns = max(self.returned_ns, t_ns + int(1e9 * short_s))
+                self.unshifted_ns = back_ns
             if begins or abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m:
                 self.mean_m = range_m
             self._begin_run(z_m)
@@ -169,6 +170,8 @@ class NaiveResponse:
         far = self.number > m.MIN_READINGS and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
         distant = motion_m > c.SHIFT_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * c.MIN_MEANS * self.number
+        if t_ns < self.unshifted_ns and not repeats:
+            suspicious = doubtful = distant = False
         sign = doubtful or (enough and distant) or suspicious
         if self.shift_ns is None and ((long and sign) or (steep and enough)):
             self.shift_ns, self.lift_m = t_ns, (2.0 if steep else 1.0) * r.SHIFT_BANDS * self.band_m

@@ -128,6 +128,7 @@ class Response(Schema):
     swing_m = F64(unit="m", doc="half the spread of the ranges in a descent that is tested; 0: another test")
     settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")
     returned_ns = I64(unit="ns", doc="the error of a test is gone; before, none is a sign for a hold")
+    unshifted_ns = I64(unit="ns", doc="the tool is back from a shift; before, there is no sign of a fault")
 
 
 class Repeats(Schema):

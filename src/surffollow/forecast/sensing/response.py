@@ -113,8 +113,11 @@ def _update_run(params, adaptive, tool_z_m):
     if run.samples <= means * number or (rises and sparse and not is_repeated(adaptive.repeats)):
         return
     sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
-    if response.t_ns < response.returned_ns and not is_repeated(adaptive.repeats):
-        sign = min(sign, SIGN_FOR_SHIFT)
+    if not is_repeated(adaptive.repeats):
+        if response.t_ns < response.unshifted_ns:
+            sign = NO_SIGN
+        elif response.t_ns < response.returned_ns:
+            sign = min(sign, SIGN_FOR_SHIFT)
     response.rises = 1 if rises else 0
     # until the axis has stopped
     stop_m = run.rate_mps * (adaptive.latency.delay_s + tau_s)
@@ -244,14 +247,14 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     mean_m = adaptive.run.mean_m
     begins = begins or (response.swing_m > 0.0 and adaptive.run.standoff_m != params.offset_m)
     if begins or _responds(adaptive):
+        back_ns = t_ns + int(1e9 * answer_s(adaptive, 1.0))
         if begins:
-            response.settled_ns = response.returned_ns = t_ns
+            response.settled_ns = response.returned_ns = response.unshifted_ns = 0
         elif not in_run:
-            response.settled_ns = t_ns + int(1e9 * answer_s(adaptive, 1.0))
-            response.returned_ns = response.settled_ns + int(1e9 * ANSWER_TAUS * adaptive.plant.tau_s)
+            response.settled_ns = back_ns
+            response.returned_ns = back_ns + int(1e9 * ANSWER_TAUS * adaptive.plant.tau_s)
         elif shifted:
-            returned_ns = t_ns + int(1e9 * (adaptive.latency.delay_s + adaptive.plant.tau_s))
-            response.returned_ns = max(response.returned_ns, returned_ns)
+            response.unshifted_ns = back_ns
         # of a step the mean sees a part
         step = begins or abs(range_m - mean_m) > noise_m
         _begin_run(params, adaptive, tool_z_m, range_m if step else mean_m)

@@ -1,0 +1,88 @@
+"""Good sensors over ground that falls steeply: tests of the sensor must not cost more than following poorly.
+
+On such falls a frozen range looks like good tracking, so the sensor is tested again and again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surffollow import Follower
+
+from .job_loop import Job, follow
+
+# stand-off, τ, readings, poses, limits, noise, window
+DRONE = Job(5.0, 0.5, 0.1, 0.04, 4.0, 6.0, 0.01, (0.5, 20.0))
+BOOM = Job(0.5, 0.3, 0.3, 0.03, 1.0, 4.0, 0.001, (0.1, 2.0))
+CELL = Job(0.1, 0.04, 0.002, 0.012, 0.2, 2.0, 0.001, (0.0508, 0.1524))
+
+
+def fall(slope: float, begin_m: float):
+    return lambda x, t: -slope * max(x - begin_m, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("job", "slope", "speed_mps"), [(DRONE, 0.3, 5.0), (DRONE, 0.5, 5.0), (BOOM, 0.14, 3.0)]
+)
+def test_a_good_sensor_over_a_steep_fall_is_tested_by_small_shifts(job, slope, speed_mps, seed):
+    """GIVEN a fall of 0.15 to 0.25 stand-offs in τ WHEN the sensor is good THEN a P loop is far worse."""
+    ground, seconds = fall(slope, 20 * speed_mps * job.tau_s), 150 * job.tau_s
+    run = follow(job, ground, seconds, speed_mps, seed=seed)
+    plain = follow(job, ground, seconds, speed_mps, plain=True, seed=seed)
+    ours, others = (r.rms_m(job) / job.standoff_m for r in (run, plain))
+    print(f"RMS {ours:.3f} stand-offs, P loop {others:.3f}")
+    assert ours < 0.3 * others
+    assert run.clearance_m.max() < 2.0 * job.standoff_m
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_good_sensor_stays_used_when_the_stand_off_changes_over_a_fall(seed):
+    """GIVEN a fall of 40 % WHEN the stand-off is set from 70 to 130 mm and back THEN it is never STUCK."""
+    rng, ground = np.random.default_rng(seed), fall(0.4, 0.2)
+    f = Follower(
+        {
+            "plant": {"tau_s": CELL.tau_s, "v_max_mps": CELL.v_max_mps, "a_max_mps2": CELL.a_max_mps2},
+            "sensors": [{"near_m": CELL.window_m[0], "far_m": CELL.window_m[1]}],
+        },
+        offset_m=CELL.standoff_m,
+    )
+    z = target = CELL.standoff_m
+    v, states = 0.0, []
+    for ms in range(12_000):
+        t_ns, x = 10**9 + ms * 1_000_000, 0.1 * 1e-3 * ms
+        if ms % 1200 == 0:
+            f.set_params(offset=float(rng.uniform(0.07, 0.13)))
+        if ms % 12 == 0:
+            f.pose(t_ns, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        if ms % 2 == 0:
+            f.step(t_ns, [z - ground(x, 0.0) + CELL.sigma_m * float(rng.standard_normal())])
+        if ms % 12 == 0:
+            target = z + float(f.step(t_ns, [float("nan")])[2])
+            states.append(f.state()["health"])
+        wanted = min(max((target - z) / CELL.tau_s, -CELL.v_max_mps), CELL.v_max_mps)
+        v += min(max(wanted - v, -2e-3), 2e-3)
+        z += v * 1e-3
+    assert "STUCK" not in states
+    assert z - ground(x, 0.0) < CELL.window_m[1]
+
+
+def test_a_mode_that_is_set_while_following_begins_anew():
+    """GIVEN slopes of a fall WHEN the mode is paper for a rise THEN the follower does not go on with them."""
+    f = Follower({"plant": {"tau_s": 0.04}, "sensors": [{"near_m": 0.03, "far_m": 0.3}]}, offset_m=0.1)
+    z, demands = 0.1, []
+    for ms in range(0, 4000, 4):
+        x = 0.2 * 1e-3 * ms
+        ground = -0.3 * x if ms < 2000 else -0.12 + 0.3 * (x - 0.4)
+        if ms == 1900:
+            f.set_params(mode="paper")
+        if ms == 2400:
+            f.set_params(mode="adaptive")
+        f.pose(10**9 + ms * 1_000_000, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        demand = float(f.step(10**9 + ms * 1_000_000, [z - ground])[2])
+        z += 0.1 * demand
+        if 2400 <= ms < 2440:
+            demands.append(demand)
+    assert min(demands) > -1e-3
+    assert abs(z - ground - 0.1) < 0.01
