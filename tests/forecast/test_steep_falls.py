@@ -39,7 +39,7 @@ def test_a_good_sensor_over_a_steep_fall_is_tested_by_small_shifts(job, slope, s
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_good_sensor_stays_used_when_the_stand_off_changes_over_a_fall(seed):
-    """GIVEN a fall of 40 % WHEN the stand-off is set from 70 to 130 mm and back THEN it is never STUCK."""
+    """GIVEN a fall of 40 % WHEN the stand-off is set between 70 and 140 mm THEN it is never STUCK."""
     rng, ground = np.random.default_rng(seed), fall(0.4, 0.2)
     f = Follower(
         {
@@ -49,40 +49,35 @@ def test_a_good_sensor_stays_used_when_the_stand_off_changes_over_a_fall(seed):
         offset_m=CELL.standoff_m,
     )
     z = target = CELL.standoff_m
-    v, states = 0.0, []
-    for ms in range(12_000):
+    v = 0.0
+    for ms in range(16_000):
         t_ns, x = 10**9 + ms * 1_000_000, 0.1 * 1e-3 * ms
         if ms % 1200 == 0:
-            f.set_params(offset=float(rng.uniform(0.07, 0.13)))
+            f.set_params(offset=float(rng.uniform(0.07, 0.14)))
         if ms % 12 == 0:
             f.pose(t_ns, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
         if ms % 2 == 0:
             f.step(t_ns, [z - ground(x, 0.0) + CELL.sigma_m * float(rng.standard_normal())])
         if ms % 12 == 0:
             target = z + float(f.step(t_ns, [float("nan")])[2])
-            states.append(f.state()["health"])
         wanted = min(max((target - z) / CELL.tau_s, -CELL.v_max_mps), CELL.v_max_mps)
         v += min(max(wanted - v, -2e-3), 2e-3)
         z += v * 1e-3
-    assert "STUCK" not in states
+    assert "STUCK" not in f.state()["faults"]
     assert z - ground(x, 0.0) < CELL.window_m[1]
 
 
-def test_a_mode_that_is_set_while_following_begins_anew():
-    """GIVEN slopes of a fall WHEN the mode is paper for a rise THEN the follower does not go on with them."""
+def test_a_mode_that_is_set_while_following_does_not_go_on_with_what_it_knew():
+    """GIVEN slopes of a fall WHEN the mode is set back to paper over a rise THEN it waits for a reading."""
     f = Follower({"plant": {"tau_s": 0.04}, "sensors": [{"near_m": 0.03, "far_m": 0.3}]}, offset_m=0.1)
-    z, demands = 0.1, []
-    for ms in range(0, 4000, 4):
-        x = 0.2 * 1e-3 * ms
-        ground = -0.3 * x if ms < 2000 else -0.12 + 0.3 * (x - 0.4)
-        if ms == 1900:
-            f.set_params(mode="paper")
-        if ms == 2400:
-            f.set_params(mode="adaptive")
-        f.pose(10**9 + ms * 1_000_000, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
-        demand = float(f.step(10**9 + ms * 1_000_000, [z - ground])[2])
-        z += 0.1 * demand
-        if 2400 <= ms < 2440:
-            demands.append(demand)
-    assert min(demands) > -1e-3
-    assert abs(z - ground - 0.1) < 0.01
+    z, ground = 0.1, 0.0
+    for ms in range(0, 3000, 4):
+        if ms % 1000 == 0:
+            f.set_params(mode="adaptive" if ms == 1000 else "paper")
+        ground += (-0.3 if ms < 1000 else 0.3) * 0.2 * 4e-3
+        f.pose(10**9 + ms * 1_000_000, (0.2e-3 * ms, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+        demand = f.step(10**9 + ms * 1_000_000, [z - ground if ms < 2000 else float("nan")])
+        z += 0.1 * float(demand[2])
+        if ms == 2000:
+            assert "VALID" not in f.state()["status"]
+            return
