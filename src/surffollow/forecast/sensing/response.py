@@ -28,15 +28,12 @@ from surffollow.shm.layout_adaptive_sensing import (
 
 MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
 SHIFT_BANDS = 2.0  # by so many bands the setpoint is shifted up, by twice as many in a steep descent
-STEEP = (
-    0.5  # of the stand-off, in the time of an answer: so far a steep descent goes, and a hold lifts the tool
-)
+STEEP = 0.5  # of the stand-off: a descent that goes farther in the time of an answer is steep
 ASCENT_SHARE = 0.25  # of an ascent counts
 # times the half spread of the ranges before the test of a descent: the answer to a lift, and the lift
 SWINGS = (3.0, 4.5)
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
-# of a lift: a tool that misses less has obeyed it. In an ascent the setpoint of one that does not obey stays
-# ahead by all of it
+# of the lift in an ascent: who misses less has obeyed. The setpoint of another tool stays ahead by all of it
 OBEYED = 0.65
 MAX_RISE = 3.0  # stand-offs that a range without response may lead the tool up in a lift …
 MARGIN = 0.5  # … and of the stand-off, kept to the end of the window for uneven ground
@@ -217,6 +214,18 @@ def _responds(adaptive):
     return change_m > _answer_m(adaptive) or adaptive.repeats.ended != 0
 
 
+@jit
+def _await_return(adaptive):
+    """Note when the tool is back from the test or the shift that has been answered."""
+    response = adaptive.response
+    back_ns = response.t_ns + int(1e9 * answer_s(adaptive, 1.0))
+    if response.phase != RESPONSE_RUN:
+        response.settled_ns = back_ns
+        response.returned_ns = back_ns + int(1e9 * ANSWER_TAUS * adaptive.plant.tau_s)
+    elif response.lift_m > 0.0:
+        response.unshifted_ns = back_ns
+
+
 @jit_inlined
 def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     """Update the test with a sample of channel 0.
@@ -236,25 +245,17 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
         response.test_ns = t_ns  # an answer takes time with samples
     response.t_ns = t_ns
     count_repeats(params, adaptive, range_m, tool_z_m)
-    in_run, shifted = response.phase == RESPONSE_RUN, response.lift_m > 0.0
-    # in a test two samples answer, one does not
-    most_m = (
-        noise_m
-        if in_run and not shifted
-        else mean_range.mean_samples(adaptive) * mean_range.range_band_m(adaptive)
-    )
+    in_run, most_m = response.phase == RESPONSE_RUN, noise_m
+    if not in_run or response.lift_m > 0.0:  # in a test two samples answer, one does not
+        most_m = mean_range.mean_samples(adaptive) * mean_range.range_band_m(adaptive)
     constant_ranges.update_mean(adaptive, range_m, sigma_m, max(most_m, SWINGS[0] * response.swing_m))
     mean_m = adaptive.run.mean_m
     begins = begins or (response.swing_m > 0.0 and adaptive.run.standoff_m != params.offset_m)
     if begins or _responds(adaptive):
-        back_ns = t_ns + int(1e9 * answer_s(adaptive, 1.0))
         if begins:
             response.settled_ns = response.returned_ns = response.unshifted_ns = 0
-        elif not in_run:
-            response.settled_ns = back_ns
-            response.returned_ns = back_ns + int(1e9 * ANSWER_TAUS * adaptive.plant.tau_s)
-        elif shifted:
-            response.unshifted_ns = back_ns
+        else:
+            _await_return(adaptive)
         # of a step the mean sees a part
         step = begins or abs(range_m - mean_m) > noise_m
         _begin_run(params, adaptive, tool_z_m, range_m if step else mean_m)
