@@ -72,12 +72,15 @@ def freeze(pid: int) -> None:
 
 
 def interrupt(child: subprocess.Popen[Any]) -> None:
-    """Ctrl-C at a question, until it ends the process: `input` may lose one while it flushes stderr."""
+    """Ctrl-C at a question, until it ends the process: `input` may lose one while it flushes stderr.
+
+    A second one comes late: Python dies of one that meets it on its way out.
+    """
 
     def ended() -> bool:
         child.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
-            child.wait(0.5)
+            child.wait(5.0)
         return child.poll() is not None
 
     until(ended, "its end")
