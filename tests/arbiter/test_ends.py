@@ -75,7 +75,7 @@ def test_a_server_in_another_pid_namespace_is_alive_while_it_holds_its_lock_or_i
     with observe(server.name) as watcher:
         # GIVEN a machine where the server's process cannot be seen
         monkeypatch.setattr("surffollow.arbiter.board_reader.is_running", lambda *_: False)
-        assert watcher.alive()
+        until(watcher.alive, "a heartbeat")
         server.kill()
         # THEN its lock decides
         assert not watcher.alive()
