@@ -35,10 +35,16 @@ def test_a_filter_of_half_the_time_constant_does_no_harm(job):
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_timestamps_of_the_age_of_the_filter_calm_a_tool_with_a_quick_sensor(seed):
-    """GIVEN ten samples in τ and a filter of 2 τ WHEN timestamps are older by it THEN the tool swings less.
-
-    With four samples in τ (`BOOM`) half of the seeds swing more than without.
-    """
+    """GIVEN ten samples in τ and a filter of 2 τ WHEN timestamps are older by it THEN it swings less."""
     plain, stamped = (run_filtered(CELL, 2.0, is_stamped=s, seed=seed) for s in (False, True))
     assert stamped < 0.06
     assert stamped < 0.6 * plain
+
+
+def test_timestamps_of_the_age_of_the_filter_may_harm_a_slow_sensor():
+    """GIVEN four samples in τ and a filter of 2 τ WHEN timestamps are older by it THEN the swing has a bound.
+
+    It is greater than without in some seeds, and less in others: the printed figures are those of hazards.md.
+    """
+    assert max(run_filtered(BOOM, 2.0, is_stamped=False, seed=s) for s in range(1, 9)) < 0.1
+    assert max(run_filtered(BOOM, 2.0, is_stamped=True, seed=s) for s in range(1, 9)) < 0.2

@@ -13,7 +13,16 @@ import pytest
 
 from forecast.driving import MS, Kernel, default_params
 from forecast.job_loop import Job, follow
-from surffollow.shm.layout_follow import MODE_ADAPTIVE
+from surffollow.forecast.plant.plant_identification import (
+    predict_pose,
+    record_own_setpoint,
+    reset_axes,
+    setpoint_in_force,
+)
+from surffollow.forecast.pose import push_pose
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_follow import MODE_ADAPTIVE, SenseState
 
 TAU_S, STANDOFF_M = 0.1, 0.5
 ARM = Job(STANDOFF_M, TAU_S, 0.01, 0.1, 1.0, 10.0, 0.002 * STANDOFF_M, (0.15, 1.5))
@@ -96,3 +105,28 @@ def test_hills_are_followed_under_a_slow_controller_of_a_service(period_ms, latc
         plain.append(rms_in_service(period_ms, period_ms, speed_mps, seed, plain=True))
     print(f"{period_ms} ms, latches every {latch_ms} ms: {np.mean(ours) / np.mean(plain):.2f} of a P loop")
     assert np.mean(ours) < 0.5 * np.mean(plain)
+
+
+def test_the_first_setpoint_of_a_service_is_in_force_before_the_second_report():
+    a = zeros(AdaptiveState)[0]
+    a["clock"]["now_ns"] = 10**9
+    record_own_setpoint(a, False, 0.3)
+    record_own_setpoint(a, False, 0.4)  # that of the next cycle: not latched yet
+    assert setpoint_in_force(a["plant"], 10**9 + 50 * MS) == 0.3
+
+
+@pytest.mark.parametrize("begins_anew", [False, True])
+def test_the_axis_model_leads_the_height_only_while_it_is_the_nearer_one(begins_anew):
+    """GIVEN a model that was nearer to the reports WHEN the axes begin anew THEN the velocity leads."""
+    params, a, sense, pose = default_params()[0], zeros(AdaptiveState)[0], zeros(SenseState)[0], np.zeros(7)
+    for k in range(2):
+        push_pose(sense, 10**9 + 40 * k * MS, np.array([0.0, 0.0, 0.1 + 1e-3 * k, 0, 0, 0, 1.0]), 0)
+    reset_axes(params, a, 10**9 + 40 * MS, 0.101)
+    a["kinematics"]["climb_mps"] = 0.025
+    a["clock"]["now_ns"] = 10**9 + 40 * MS
+    record_own_setpoint(a, True, 0.101)  # it is there
+    a["plant"]["scatter_m"], a["plant"]["coast_scatter_m"] = 1e-4, 1e-3
+    if begins_anew:
+        reset_axes(params, a, 10**9 + 40 * MS, 0.101)
+    predict_pose(params, a, sense, 10**9 + 60 * MS, pose)
+    assert pose[2] == pytest.approx(0.1015 if begins_anew else 0.101, abs=1e-6)

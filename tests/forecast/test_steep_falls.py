@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
+from surffollow.forecast.sensing.response import observe_response
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_RUN
 
+from .driving import default_params
 from .job_loop import Job, follow
 
 # stand-off, τ, readings, poses, limits, noise, window
@@ -71,13 +76,37 @@ def test_a_mode_that_is_set_while_following_does_not_go_on_with_what_it_knew():
     """GIVEN slopes of a fall WHEN the mode is set back to paper over a rise THEN it waits for a reading."""
     f = Follower({"plant": {"tau_s": 0.04}, "sensors": [{"near_m": 0.03, "far_m": 0.3}]}, offset_m=0.1)
     z, ground = 0.1, 0.0
-    for ms in range(0, 3000, 4):
+    for ms in range(0, 2001, 4):
         if ms % 1000 == 0:
             f.set_params(mode="adaptive" if ms == 1000 else "paper")
         ground += (-0.3 if ms < 1000 else 0.3) * 0.2 * 4e-3
         f.pose(10**9 + ms * 1_000_000, (0.2e-3 * ms, 0.0, z, 0.0, 0.0, 0.0, 1.0))
         demand = f.step(10**9 + ms * 1_000_000, [z - ground if ms < 2000 else float("nan")])
         z += 0.1 * float(demand[2])
-        if ms == 2000:
-            assert "VALID" not in f.state()["status"]
-            return
+    assert "VALID" not in f.state()["status"]
+
+
+@pytest.mark.parametrize(("standoff_m", "phase"), [(0.1, RESPONSE_HOLD), (0.12, RESPONSE_RUN)])
+def test_another_stand_off_ends_the_test_of_a_descent(standoff_m, phase):
+    """GIVEN a descent in its test at 0.1 m WHEN a sample comes THEN it goes on at this stand-off only."""
+    params, a = default_params(offset_m=standoff_m)[0], zeros(AdaptiveState)[0]
+    a["prediction"]["interval_s"], a["plant"]["tau_s"], a["noise"]["range_sigma_m"] = 4e-3, 0.04, 2e-4
+    a["response"]["t_ns"] = a["response"]["test_ns"] = 10**9
+    a["response"]["phase"], a["response"]["swing_m"] = RESPONSE_HOLD, 0.01
+    a["run"]["mean_m"] = a["run"]["range_m"] = 0.105
+    a["run"]["standoff_m"] = 0.1
+    observe_response(params, a, 10**9 + 4_000_000, 0.105, 0.0, 0.0)
+    assert a["response"]["phase"] == phase
+
+
+def test_a_stay_in_another_mode_is_no_jump_of_the_tool():
+    """GIVEN a tool that turns round in paper mode WHEN the follower goes on THEN no jump is noted."""
+    f = Follower({"plant": {"tau_s": 0.04}, "sensors": [{"near_m": 0.03, "far_m": 0.3}]}, offset_m=0.1)
+    x = 0.0
+    for ms in range(0, 3000, 20):
+        if ms in (1000, 2000):
+            f.set_params(mode="paper" if ms == 1000 else "adaptive")
+        x += (0.5 if ms < 1000 else -2.0) * 0.02
+        f.pose(10**9 + ms * 1_000_000, (x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        f.step(10**9 + ms * 1_000_000, [0.1])
+    assert f._state["adaptive"][0]["kinematics"]["jump_ns"] == 0

@@ -56,6 +56,18 @@ def reset_surface(adaptive):
 
 
 @jit
+def forget_surface(state):
+    """Begin both modes with the next sample; measurements, the fold-back latch, noise and plant stay.
+
+    Parameters
+    ----------
+    state : (1,) record of `FollowState` (updated)
+    """
+    clear_record(state, PAPER)
+    reset_surface(state[0].adaptive)
+
+
+@jit
 def begin_mode(params, state):
     """Begin in another mode as behind SFReset: what it knows is from before it was left.
 
@@ -64,6 +76,5 @@ def begin_mode(params, state):
     params, state : (1,) records of `Params`, `FollowState` (updated)
     """
     state[0].mode = params[0].mode
-    clear_record(state, PAPER)
-    reset_surface(state[0].adaptive)
+    forget_surface(state)
     state[0].adaptive.kinematics.pose_count = 0  # poses came in the meantime: they are no jump

@@ -23,9 +23,8 @@ def sf_reset(params, state, offset_m):
     the fold-back latch, which is safety.
     """
     params[0].offset_m = offset_m
-    reset.clear_record(state, reset.PAPER)
     reference_scales.choose_scales(params, state)
-    reset.reset_surface(state[0].adaptive)
+    reset.forget_surface(state)
     state[0].stop_armed = 0
 
 
