@@ -124,7 +124,8 @@ def test_the_axis_model_leads_the_height_only_while_it_is_the_nearer_one(begins_
     reset_axes(params, a, 10**9 + 40 * MS, 0.101)
     a["kinematics"]["climb_mps"] = 0.025
     a["clock"]["now_ns"] = 10**9 + 40 * MS
-    record_own_setpoint(a, True, 0.101)  # it is there
+    record_own_setpoint(a, True, 0.099)  # the observed axis is there, 2 mm below the report
+    a["plant"]["axis_m"], a["plant"]["axis_mps"], a["plant"]["offset_m"] = 0.099, 0.0, 2e-3
     a["plant"]["scatter_m"], a["plant"]["coast_scatter_m"] = 1e-4, 1e-3
     if begins_anew:
         reset_axes(params, a, 10**9 + 40 * MS, 0.101)

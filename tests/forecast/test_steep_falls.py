@@ -97,16 +97,3 @@ def test_another_stand_off_ends_the_test_of_a_descent(standoff_m, phase):
     a["run"]["standoff_m"] = 0.1
     observe_response(params, a, 10**9 + 4_000_000, 0.105, 0.0, 0.0)
     assert a["response"]["phase"] == phase
-
-
-def test_a_stay_in_another_mode_is_no_jump_of_the_tool():
-    """GIVEN a tool that turns round in paper mode WHEN the follower goes on THEN no jump is noted."""
-    f = Follower({"plant": {"tau_s": 0.04}, "sensors": [{"near_m": 0.03, "far_m": 0.3}]}, offset_m=0.1)
-    x = 0.0
-    for ms in range(0, 3000, 20):
-        if ms in (1000, 2000):
-            f.set_params(mode="paper" if ms == 1000 else "adaptive")
-        x += (0.5 if ms < 1000 else -2.0) * 0.02
-        f.pose(10**9 + ms * 1_000_000, (x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
-        f.step(10**9 + ms * 1_000_000, [0.1])
-    assert f._state["adaptive"][0]["kinematics"]["jump_ns"] == 0

@@ -77,4 +77,3 @@ def begin_mode(params, state):
     """
     state[0].mode = params[0].mode
     forget_surface(state)
-    state[0].adaptive.kinematics.pose_count = 0  # poses came in the meantime: they are no jump
