@@ -9,10 +9,12 @@ import pytest
 
 from surffollow import Follower
 
-from .test_ring_loop import STANDOFF_M, ring
 from .tilted import rotated, turned
 
-MS, TURN_DEG = 1_000_000, 5.0
+MS, STANDOFF_M, TURN_DEG = 1_000_000, 0.1, 5.0
+RING = [
+    (0.03 * math.cos(a), 0.03 * math.sin(a), 0.0) for a in (0.0, 2.0 * math.pi / 3.0, 4.0 * math.pi / 3.0)
+]
 
 
 def normal_moves_deg(places, order, pitch: bool) -> float:
@@ -32,7 +34,7 @@ def normal_moves_deg(places, order, pitch: bool) -> float:
 
 @pytest.mark.parametrize(
     ("places", "swapped"),
-    [(ring(3), (1, 0, 2)), (ring(3, middle=True), (0, 2, 1, 3))],
+    [(RING, (1, 0, 2)), ([(0.0, 0.0, 0.0), *RING], (0, 2, 1, 3))],
     ids=["3", "3 around one"],
 )
 def test_a_tool_turned_by_hand_shows_channels_that_are_swapped(places, swapped):
