@@ -46,7 +46,6 @@ class Pending(Schema):
 class Gate(Schema):
     """Innovation gate and steps (`innovation_gate`)."""
 
-    decision = I64(doc="on the newest sample: 0 withheld, 1 pending, 2 accepted, 3 step, 4 restart")
     scale_m = F64(unit="m", doc="usual innovation of the blend")
     width_m = F64(unit="m", doc="width of the gate for the newest sample")
     steepest_rise_m = F64(unit="m", doc="greatest rise of the ground up to the newest sample")

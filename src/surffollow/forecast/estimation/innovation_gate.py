@@ -24,6 +24,7 @@ from surffollow.forecast.estimation.pending_samples import (
     drop_pending,
     reject_pending,
 )
+from surffollow.forecast.modes import adapts
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
     MAX_SLOPE,
@@ -37,7 +38,7 @@ from surffollow.shm.layout_adaptive_estimation import ACCEPTED, PENDING, RESTART
 
 
 @jit
-def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, adapt):
+def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
     """Decide on a sample, and note what the next one needs of it.
 
     Parameters
@@ -47,27 +48,26 @@ def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, adap
     travel_m : float64      distance travelled d since the sample before [m]
     steepest_m : float64    greatest change of the ground since the last accepted sample [m]
     gap : bool              the samples paused before: a step needs no travel
-    adapt : bool            False: the usual innovation stays as it is
 
     Returns
     -------
     int64
         WITHHELD, PENDING, ACCEPTED, STEP or RESTART.
     """
-    gate, estimate = adaptive.gate, adaptive.estimate
+    gate, estimate, adapt = adaptive.gate, adaptive.estimate, adapts(params, adaptive)
     rises_on = gate.nearer != 0 and innovation_m > 0.0
     gate.steepest_rise_m = MAX_SLOPE * steepest_m if rises_on else steepest_m
     _update_travel(params, gate, travel_m)
-    gate.decision = _decide(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on)
-    if gate.decision == ACCEPTED:
+    decision = _decide(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on)
+    if decision == ACCEPTED:
         _accept_sample(params, gate, adaptive.pending)
-    elif gate.decision < ACCEPTED:  # it waits
-        if adapt and gate.decision == WITHHELD and estimate.samples > 1:
+    elif decision < ACCEPTED:  # it waits
+        if adapt and decision == WITHHELD and estimate.samples > 1:
             update_scale(gate, innovation_m)  # frequent ones mean rough ground
-        _note_nearer(gate, innovation_m, gate.decision == WITHHELD)
+        _note_nearer(gate, innovation_m, decision == WITHHELD)
         if adapt and (estimate.sample_ns - estimate.accepted_ns) * 1e-9 > 2.0 * adaptive.plant.tau_s:
             _widen_gate(gate, adaptive.pending, estimate.samples)
-    return gate.decision
+    return decision
 
 
 @jit
@@ -203,9 +203,3 @@ def reset_gate(gate, pending, fresh):
     drop_pending(pending)
     gate.unconfirmed_m = gate.withheld_m = gate.travel_since_step_m = gate.step_m = 0.0
     gate.nearer = gate.step_ns = 0
-
-
-@jit
-def discard_slots(gate):
-    """Mark the likelihood of slots as not known, and with it all that a fresh start assumes."""
-    gate.slot_likelihood = 0.0

@@ -8,7 +8,7 @@ import math
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
 from surffollow.forecast.estimation import estimate, innovation_gate
-from surffollow.forecast.modes import adapts, orients
+from surffollow.forecast.modes import orients
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import follow_usual
@@ -69,7 +69,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
         ahead = footprint_lead(adaptive, sense.pose, 7 * newest_pose(sense))
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
-    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapts(params, adaptive))
+    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m)
     sample.arc_length_m = adaptive.estimate.arc_length_m  # an initialisation advances it farther
     if not entered:
         return
