@@ -9,7 +9,7 @@ from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
 from surffollow.forecast.estimation import adaptation
 from surffollow.forecast.modes import orients
-from surffollow.forecast.plant import axis_model, controller_clock, plant_identification
+from surffollow.forecast.plant import axis_model, controller_clock, plant_identification, shadow_axes
 from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
 from surffollow.forecast.setpoint import preview_control, setpoint_blend, setpoint_limits, tested_setpoint
@@ -36,35 +36,29 @@ def distance_ahead(adaptive, sense, age_s):
 
 
 @jit_inlined
-def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
-    """Blended setpoint [m], and whether a controller period begins.
+def target_of_blend(params, adaptive, pose_t_ns, ahead_m, standoff_m, due):
+    """Blended setpoint [m].
 
     The models are blended when a sample, a pose or a controller period is new. In between the blend
     continues at the rate that the models predict.
 
     Parameters
     ----------
-    params, adaptive, inputs : records of `Params`, `AdaptiveState` (updated), `Inputs`
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
     pose_t_ns : int64     timestamp of the newest pose
     ahead_m : float64     distance from `distance_ahead` [m]
     standoff_m : float64  desired height of the tool above the ground [m]
-
-    Returns
-    -------
-    float64 [m], bool
+    due : bool            a controller period begins
     """
-    blend, now_ns = adaptive.blend, adaptive.clock.now_ns
-    due = controller_clock.period_is_due(adaptive, inputs, now_ns)
+    blend = adaptive.blend
     if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
-        target = setpoint_blend.blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
-    else:
-        target = blend.setpoint_m + blend.rate_mps * (now_ns - blend.t_ns) * 1e-9
-    return target, due
+        return setpoint_blend.blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m)
+    return blend.setpoint_m + blend.rate_mps * (adaptive.clock.now_ns - blend.t_ns) * 1e-9
 
 
 @jit
 def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
-    """Preview control of the controller period that begins.
+    """Begin a controller period: record the setpoints of the models, plan with the ground ahead.
 
     Parameters
     ----------
@@ -73,7 +67,8 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     ahead_m : float64     distance from `distance_ahead` [m]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    motion, latch_ns = adaptive.kinematics, controller_clock.open_period(adaptive, inputs)
+    shadow_axes.record_setpoints(adaptive)
+    motion, latch_ns = adaptive.kinematics, controller_clock.begin_period(adaptive, inputs)
     since_pose_m = motion.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
     ahead_m += motion.speed_mps * ((latch_ns - adaptive.clock.now_ns) * 1e-9 - wait_s)
@@ -154,7 +149,8 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     answered = controller_clock.observe_latch(controller, inputs, sense.pose_count, adaptive.clock.now_ns)
     age_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + controller_clock.mean_wait_s(params, controller)
     ahead = distance_ahead(adaptive, sense, age_s)
-    target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
+    due = controller_clock.period_is_due(adaptive, inputs, adaptive.clock.now_ns)
+    target = target_of_blend(params, adaptive, pose_t_ns, ahead, standoff_m, due)
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
     target = target_of_preview(params, adaptive, target, standoff_m)

@@ -74,8 +74,8 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
 
 
 @jit_inlined
-def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
-    """Blend the models' setpoints; when a controller period is due, record each of them.
+def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m):
+    """Blend the models' setpoints.
 
     The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
     fade over `dropout_travel_m`, a step away from the tool that was confirmed just before is taken back, and
@@ -89,7 +89,6 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     pose_ns : int64       timestamp of the newest pose
     ahead_m : float64     distance beyond the newest footprint [m]; a sensor that leads counts as 0
     standoff_m : float64  desired height of the tool above the ground [m]
-    due : bool            a controller period begins
 
     Returns
     -------
@@ -123,9 +122,6 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
         z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)
     else:
         blend.tracked_m = z
-    if due:
-        shadow_axes.record_setpoints(adaptive)
-        controller_clock.begin_period(adaptive.controller, clock.now_ns)
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, slope * speed_mps, clock.now_ns
     blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
     return z
