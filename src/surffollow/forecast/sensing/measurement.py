@@ -60,10 +60,9 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
         for c in range(params.n_channels):
             if adaptive.beams.accepted[c] == 0:  # excluded beams are not mapped
                 output.fresh &= ~(1 << c)
-    elif at_rest or adaptive.latency.count > 0:
-        latency_identification.observe_height(params, adaptive, sense, t, h, pose)
-        predict_pose(params, adaptive, sense, t, pose)  # the regression needs other poses
     travel = advance_path(params, adaptive, t, x, y, pose)
+    if not orients(params) and (at_rest or adaptive.latency.count > 0):
+        latency_identification.observe_height(params, adaptive, sense, t, h, pose)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     if not at_rest:
         ahead = footprint_lead(adaptive, sense.pose, 7 * newest_pose(sense))
