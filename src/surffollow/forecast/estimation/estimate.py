@@ -12,6 +12,7 @@ from surffollow.forecast.terrain.terrain_buffer import store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, N_MODELS, PENDING_HEIGHTS, RESTART, STEP
 
+MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest, too
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 
 
@@ -139,7 +140,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
         return True
     adapt = adapts(params, adaptive)  # else index, weights and noise stay as they are
     gap = t_ns - estimate.sample_ns > max(PAUSE_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
-    travel = max(travel_m, shadow_axes.MIN_SPEED_MPS * dt)
+    travel = max(travel_m, MIN_SPEED_MPS * dt)
     over_ns = t_ns - int(shadow_axes.compared_lag_s(adaptive) * 1e9)
     comparable = shadow_axes.propagate_shadows(params, adaptive, over_ns)
     estimate.sample_ns = t_ns
