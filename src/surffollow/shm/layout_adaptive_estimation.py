@@ -53,7 +53,7 @@ class Gate(Schema):
     withheld_m = F64(unit="m", doc="innovation of a nearer sample that waits for a second one; 0: none")
     nearer = I64(doc="1: the newest sample was nearer than the models follow; so may the next one be")
     slot_likelihood = F64(
-        doc="likelihood that a hollow is a slot: 1 not known, toward 0 by steps that stayed"
+        doc="likelihood that a hollow is a slot: 1 not known, less by steps that stayed; 0: no estimate yet"
     )
     travel_since_step_m = F64(unit="m", doc="distance travelled since the last confirmed step")
     step_m = F64(unit="m", doc="height of that step; 0: none")

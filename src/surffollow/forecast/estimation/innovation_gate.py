@@ -54,19 +54,26 @@ def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
     int64
         WITHHELD, PENDING, ACCEPTED, STEP or RESTART.
     """
-    gate, estimate, adapt = adaptive.gate, adaptive.estimate, adapts(params, adaptive)
+    gate, pending, estimate = adaptive.gate, adaptive.pending, adaptive.estimate
     rises_on = gate.nearer != 0 and innovation_m > 0.0
     gate.steepest_rise_m = MAX_SLOPE * steepest_m if rises_on else steepest_m
     _update_travel(params, gate, travel_m)
     decision = _decide(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on)
     if decision == ACCEPTED:
-        _accept_sample(params, gate, adaptive.pending)
+        if pending.samples >= params.step_samples:  # enough for a step: they were a slot
+            gate.slot_likelihood = 1.0
+        drop_pending(pending)
+        gate.nearer, gate.unconfirmed_m, gate.withheld_m = 0, 0.0, 0.0
     elif decision < ACCEPTED:  # it waits
+        adapt, waits_s = adapts(params, adaptive), (estimate.sample_ns - estimate.accepted_ns) * 1e-9
         if adapt and decision == WITHHELD and estimate.samples > 1:
             update_scale(gate, innovation_m)  # frequent ones mean rough ground
         _note_nearer(gate, innovation_m, decision == WITHHELD)
-        if adapt and (estimate.sample_ns - estimate.accepted_ns) * 1e-9 > 2.0 * adaptive.plant.tau_s:
-            _widen_gate(gate, adaptive.pending, estimate.samples)
+        # many in a row that agree with none, and lie on both sides, are noise. After few samples the estimate
+        # itself may lie on one side of them
+        both_sides = pending.opposed >= 3 or estimate.samples < USUAL_SAMPLES
+        if adapt and waits_s > 2.0 * adaptive.plant.tau_s and pending.rejected >= 8 and both_sides:
+            gate.scale_m *= 1.25
     return decision
 
 
@@ -115,15 +122,6 @@ def _update_travel(params, gate, travel_m):
 
 
 @jit
-def _accept_sample(params, gate, pending):
-    """Drop the pending samples; if they were enough for a step, they were a slot."""
-    if pending.samples >= params.step_samples:
-        gate.slot_likelihood = 1.0
-    drop_pending(pending)
-    gate.nearer, gate.unconfirmed_m, gate.withheld_m = 0, 0.0, 0.0
-
-
-@jit
 def register_step(params, gate, pending, t_ns):
     """Take the pending samples as a step confirmed at `t_ns`."""
     # ground that is nearer again within the width of a slot: the fall before was a slot, or the path began in
@@ -162,16 +160,6 @@ def note_remainder(params, adaptive, remainder_m):
 def update_scale(gate, innovation_m):
     """Update the usual innovation with one that counts at most the width of the gate."""
     gate.scale_m += QUICK_RATE * (1.25 * min(abs(innovation_m), gate.width_m) - gate.scale_m)
-
-
-@jit
-def _widen_gate(gate, pending, samples):
-    """Raise the usual innovation where many outliers in a row agree with none, and lie on both sides.
-
-    They are noise. After few `samples` the estimate itself may lie on one side of them.
-    """
-    if pending.rejected >= 8 and (pending.opposed >= 3 or samples < USUAL_SAMPLES):
-        gate.scale_m *= 1.25
 
 
 @jit
