@@ -43,7 +43,7 @@ def reset_axes(params, adaptive, t_ns, z_m):
     plant.axis_m, plant.axis_mps = z_m, climb_mps
     plant.t_ns = t_ns
     plant.offset_m = plant.scatter_m = plant.coast_scatter_m = 0.0
-    if plant.tau_s <= 0.0 or plant.tau_configured_s != params.plant_tau_s:
+    if plant.tau_configured_s != params.plant_tau_s:  # or nothing has begun yet
         plant.tau_s = plant.tau_configured_s = params.plant_tau_s
         plant.error_m2[:] = 0.0
 

@@ -106,16 +106,14 @@ def update_kinematics(params, kinematics, sense):
         return False
     jumped = 0 < kinematics.pose_count < sense.pose_count and note_jump(params, kinematics, sense)
     kinematics.pose_count = sense.pose_count
-    kinematics.coasted_m = coast_height(
-        kinematics, sense, sense.pose_count - 2, sense.pose_t_ns[newest_pose(sense)]
-    )
-    last, jump = sense.pose_count - 1, kinematics.jump_ns
-    if sense.pose_t_ns[newest_pose(sense)] == jump:
+    last, newest_ns, jump_ns = sense.pose_count - 1, sense.pose_t_ns[newest_pose(sense)], kinematics.jump_ns
+    kinematics.coasted_m = coast_height(kinematics, sense, last - 1, newest_ns)
+    if newest_ns == jump_ns:
         return jumped  # the velocity is that before the jump
-    first = oldest_pose_within(sense, PAUSE_NS, jump)
+    first = oldest_pose_within(sense, PAUSE_NS, jump_ns)
     kinematics.velocity_x_mps, kinematics.velocity_y_mps, _, _ = velocity_between(sense, first, last)
     kinematics.speed_mps = math.sqrt(kinematics.velocity_x_mps**2 + kinematics.velocity_y_mps**2)
-    near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump)
+    near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump_ns)
     _, _, kinematics.climb_mps, _ = velocity_between(sense, near, last)
     return jumped
 

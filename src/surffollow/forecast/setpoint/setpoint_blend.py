@@ -171,12 +171,10 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
         return tool_z_m  # heights are in the frame before the jump
     few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
-    no_descent = tool_z_m if hardly_known else -math.inf
+    no_descent = tool_z_m if stuck or hardly_known else -math.inf
     lowest, highest = setpoint_range(adaptive.response)
     if stuck:  # ground that is not seen may rise as steeply as it did before
         rise_m = unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s)
         target_m = max(target_m, tool_z_m + rise_m)
     tested = min(max(target_m, lowest), highest)
-    if stuck:  # not toward the surface
-        tested = max(tested, tool_z_m)
     return max(tested, no_descent, innovation_gate.withheld_setpoint(adaptive, standoff_m))
