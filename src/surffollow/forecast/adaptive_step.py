@@ -7,7 +7,6 @@ import math
 
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
-from surffollow.forecast.estimation import adaptation
 from surffollow.forecast.modes import orients
 from surffollow.forecast.plant import axis_model, controller_clock, plant_identification, shadow_axes
 from surffollow.forecast.pose import newest_pose
@@ -142,7 +141,6 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         setpoint_limits.release_setpoint(setpoint)
         return layout.NO_SENSOR | layout.SENSOR_LOST | close
     if setpoint.in_dryrun != 0 and params.run != layout.RUN_DRYRUN:  # setpoints of DRYRUN were not applied
-        setpoint_limits.mark_dryrun(setpoint, 0)
         setpoint_limits.release_setpoint(setpoint)
         attitude.release_attitude(adaptive.attitude)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
@@ -173,13 +171,30 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         attitude.demand_rotation(params, adaptive, sense, output)
     applied_m = limited if params.run == layout.RUN_NORMAL else 0.0
     plant_identification.record_own_setpoint(adaptive, answered, tool_z + applied_m)
-    if params.run == layout.RUN_DRYRUN:
-        setpoint_limits.mark_dryrun(setpoint, 1)
-    elif params.run == layout.RUN_FREEZE:
+    setpoint_limits.mark_dryrun(setpoint, 1 if params.run == layout.RUN_DRYRUN else 0)
+    if params.run == layout.RUN_FREEZE:
         setpoint_limits.release_setpoint(setpoint)  # no demand is applied
     output.delta_h_m = estimate.slope * max(ahead, 0.0)
     output.error_m = params.offset_m - adaptive.hold.range_m
     return status
+
+
+@jit
+def publish_adaptation(params, adaptive, output):
+    """Publish latency, Permitted_Variance, Interval_Size and Range_Size in force.
+
+    A mean over n samples has the variance of a filter with gain 2 / (n + 1).
+    """
+    sample, estimate = adaptive.sample, adaptive.estimate
+    output.latency_s = params.sensor_latency_ns * 1e-9 + adaptive.latency.correction_s
+    output.permitted_variance_m = setpoint_blend.permitted_variance_m(params, adaptive)
+    if estimate.samples == 0:
+        output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
+        return
+    samples = 2.0 / min(max(estimate.gain, 1e-4), 1.0) - 1.0  # a bound on what is published
+    interval = max(min(params.interval_size_m, samples * sample.spacing_m), sample.spacing_m, 1e-6)
+    output.interval_size_m = interval
+    output.range_size = min(max(int(samples * sample.spacing_m / interval + 0.5), 1), layout.INTERVALS // 2)
 
 
 @jit_inlined
@@ -187,7 +202,7 @@ def publish_estimate(params, adaptive, output):
     """Publish estimate, health and adapted parameters."""
     motion, found, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
     noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m
-    adaptation.publish_adaptation(params, adaptive, output)
+    publish_adaptation(params, adaptive, output)
     output.height_m, output.speed_mps = estimate.height_m, motion.speed_mps
     # a slope along the path needs a direction of travel
     output.slope = 0.0 if kinematics.is_at_rest(motion) else estimate.slope

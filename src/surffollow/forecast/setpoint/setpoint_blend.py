@@ -4,7 +4,6 @@ import math
 
 from surffollow.forecast import quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
-from surffollow.forecast.estimation.adaptation import permitted_variance_m
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
@@ -125,6 +124,15 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m):
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, slope * speed_mps, clock.now_ns
     blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
     return z
+
+
+@jit
+def permitted_variance_m(params, adaptive):
+    """Permitted_Variance in force [m]: the change that is not relayed.
+
+    Where the standard deviation of the height is larger, it takes its place, 2 mm at most.
+    """
+    return max(params.permitted_variance_m, min(adaptive.estimate.sigma_m, 2e-3))
 
 
 @jit_inlined
