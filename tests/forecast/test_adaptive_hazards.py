@@ -22,7 +22,7 @@ from surffollow.benchmark.hazard_scenarios import (
     draw,
 )
 from surffollow.benchmark.hazards import PLoop, play, shortfall_m
-from surffollow.forecast.attitude.beam_detection import is_bent
+from surffollow.forecast.attitude.plane_regression import is_bent
 from surffollow.forecast.quantities import SLOW_RATE
 from surffollow.forecast.terrain.known_ground import compare_known_ground, lowest_plan
 from surffollow.shm.dtypes import zeros
