@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.benchmark.conditions import Conditions
+from surffollow.benchmark.conditions import Conditions, SensorConfig
 from surffollow.benchmark.methods import BASELINES, LIMIT, ORACLE
 from surffollow.benchmark.runner import LIMIT_FLOOR_M, LIMIT_TOLERANCE, Result, Task, Tuned, do_task
 from surffollow.benchmark.suite import Cell
@@ -164,11 +164,15 @@ def run_cells(
 def _run_of(cell: Cell, method: str) -> tuple[str, str]:
     """Inputs of a method's figures in a cell; cells of the main table and of sweeps may share a run.
 
-    The limit is that of surface, speed and axis, independent of the sensor.
+    The limit is that of surface, speed, axis and stand-off, independent of the sensor.
     """
     if method == LIMIT:
-        axis = cell.conditions.plant
-        bare = Conditions(plant=PlantConfig(v_max_mps=axis.v_max_mps, a_max_mps2=axis.a_max_mps2))
+        axis, standoff_m = cell.conditions.plant, cell.conditions.standoff_m
+        bare = Conditions(
+            plant=PlantConfig(v_max_mps=axis.v_max_mps, a_max_mps2=axis.a_max_mps2),
+            sensor=SensorConfig(near_m=0.0, far_m=2.0 * standoff_m),
+            standoff_m=standoff_m,
+        )
         cell = Cell(cell.surface, cell.speed_mps, bare)
     return cell.key, method
 
