@@ -6,6 +6,7 @@ No task depends on another or on the order of execution, so the number of proces
 from __future__ import annotations
 
 import math
+import os
 import signal
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -19,6 +20,7 @@ from surffollow.benchmark.methods import BASELINES, LIMIT, ORACLE
 from surffollow.benchmark.runner import LIMIT_FLOOR_M, LIMIT_TOLERANCE, Result, Task, Tuned, do_task
 from surffollow.benchmark.suite import Cell
 from surffollow.errors import FaultError
+from surffollow.shm.python_child import end_with_parent
 from surffollow.sim.plant import PlantConfig
 
 FOLLOWER_CHUNK = 4  # seeds per task of a Python follower: evens out the load
@@ -49,7 +51,9 @@ def in_parallel(
         return
     others = set(active_children())
     # spawn: a forked child would inherit threads and locks of the embedding program
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        processes, get_context("spawn"), initializer=end_with_parent, initargs=(os.getpid(),)
+    ) as pool:
         try:
             for future in as_completed(_submitted(pool, work, jobs)):
                 yield future.result()
