@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from surffollow.errors import AlreadyRunningError
 from surffollow.service.stale_objects import clear_stale
-from surffollow.shm.name_lock import NameLock, holder
+from surffollow.shm.name_lock import NameLock, holder, settled_holder
 from surffollow.shm.objects import unlink
 
 
@@ -19,6 +19,8 @@ def take_name(name: str) -> NameLock:
     AlreadyRunningError, NoPermissionError, BlockError, NoSpaceError
     """
     lock = NameLock.take(name)
+    if lock is None and settled_holder(name) <= 0:
+        lock = NameLock.take(name)  # a killed one has let go meanwhile
     if lock is None:
         pid = holder(name)
         who, how = f"pid {pid}", f"stop it with `surffollow stop --name {name}`"
