@@ -140,7 +140,9 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Service
     try:
         config = msgspec.convert(data, ServiceConfig)
     except msgspec.ValidationError as e:
-        raise ConfigError(f"{source}: {e}; see docs/reference/configuration.md") from None
+        raise ConfigError(
+            f"{source}: {e}; see docs/reference/configuration.md of the source distribution"
+        ) from None
     with naming_source(source, ConfigError):
         _check(config)
     return config
