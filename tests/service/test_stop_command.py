@@ -10,12 +10,19 @@ from click.testing import CliRunner
 
 from running_service import Service, unique_name
 from second_user import OtherUser, as_other_user, needs_root, outcome
+from surffollow.blocks import F64, Block, mem_attach
 from surffollow.cli.arbiter_stop import stop_command as arbiter_stop_command
 from surffollow.cli.service import stop_command
-from surffollow.errors import NotRunningError
+from surffollow.errors import AlreadyRunningError, NotRunningError
 from surffollow.service.name_owner import take_name
 from surffollow.shm.name_lock import NameLock
 from surffollow.shm.objects import SHM_ROOT, unlink
+
+
+class Joystick(Block):
+    """A block of a program."""
+
+    x = F64()
 
 
 def hold_as_if_dying(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,3 +64,11 @@ def test_stop_of_another_users_service_says_whose_it_is(own_service: Service) ->
     said = as_other_user(stop)
     assert said.startswith("NotRunningError: no service")
     assert "of this user is running; the lock file of that name belongs to another user (1)" in said
+
+
+def test_a_start_under_the_name_of_a_block_says_that_it_is_one() -> None:
+    space = unique_name("pads")
+    with mem_attach(Joystick, space, write=True), pytest.raises(AlreadyRunningError) as refused:
+        take_name(f"{space}.joystick")
+    assert f"'{space}.joystick' is a block of a program (pid {os.getpid()}), no service" in str(refused.value)
+    assert "surffollow stop" not in str(refused.value)

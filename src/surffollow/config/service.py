@@ -77,7 +77,7 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     realtime: Realtime = Realtime()
     map: MapConfig = MapConfig()
     access: AccessConfig = AccessConfig()
-    limits: dict[str, dict[str, Any]] = {}
+    limits: dict[str, Any] = {}
     stop: StopConfig = StopConfig()
     driver: dict[str, Any] = {}
     follow: dict[str, Any] = {}
