@@ -97,7 +97,7 @@ def test_one_frozen_beam_of_eight_does_not_lead_the_tool_away():
 @pytest.mark.parametrize("step_m", [-0.006, 0.006])
 @pytest.mark.parametrize("beam", [0, 5])
 def test_a_blocked_beam_of_eight_is_left_out_also_where_the_slopes_are_wrong(beam, step_m):
-    """GIVEN beam blocked at 0.83 stand-offs WHEN the ring crosses small steps THEN seven beams on a plane count.
+    """GIVEN a beam blocked at 0.83 stand-offs WHEN the ring crosses small steps THEN the seven others count.
 
     Slopes from the blocked beam stayed, so that the others never agreed: 0.8 stand-offs too high for good.
     """
