@@ -33,10 +33,8 @@ class NaiveResponse:
     phase: str = RUN
     readings: list[float] = field(default_factory=list)
     last_ns: int | None = None
-    ended: bool = False
     settled_ns: int = 0
     returned_ns: int = 0
-    unshifted_ns: int = 0
     repeats: int = 0
     usual_repeats: float = 0.0
     spread_m: float = 0.0
@@ -61,7 +59,6 @@ class NaiveResponse:
         self.shift_ns, self.lift_m, self.swing_m = None, 0.0, 0.0
 
     def _count_repeats(self, range_m: float, z_m: float) -> None:
-        self.ended = False
         if self.repeats > 0 and abs(range_m - self.repeated_m) <= REPEAT_BAND * self.sigma_m:
             self.repeats += 1
             return
@@ -69,7 +66,6 @@ class NaiveResponse:
         share = 1.0 / m.RUN_SAMPLES if not longer else 0.125 if outlier else 1.0
         if self.phase == RUN:
             self.usual_repeats = (1.0 - share) * self.usual_repeats + share * self.repeats
-        self.ended = self.is_repeated
         self.repeats, self.repeated_m, self.repeated_z_m = 1, range_m, z_m
 
     @property
@@ -115,18 +111,16 @@ class NaiveResponse:
         self.answer_m = max(m.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
         if self.phase != RUN:
             allowed_m = self.answer_m
-        changed = self.phase != RUN and self.ended
         self.answer_s = self.delay_s + r.STOP_TAUS * self.tau_s + c.MIN_MEANS * self.number * self.interval_s
-        if begins or abs(self.mean_m - self.run_m) > allowed_m or changed:
+        if begins or abs(self.mean_m - self.run_m) > allowed_m:
             back_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s
             back_ns = t_ns + int(1e9 * back_s)
             if begins:
-                self.settled_ns = self.returned_ns = self.unshifted_ns = 0
-            elif self.phase != RUN:
+                self.settled_ns = self.returned_ns = 0
+            elif tests:
                 self.settled_ns = back_ns
+            if not begins and self.phase != RUN:
                 self.returned_ns = back_ns + int(1e9 * r.ANSWER_TAUS * self.tau_s)
-            elif self.lift_m > 0.0:
-                self.unshifted_ns = back_ns
             if begins or abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m:
                 self.mean_m = range_m
             self._begin_run(z_m)
@@ -136,8 +130,6 @@ class NaiveResponse:
             self.mean_m = self.run_m = 0.5 * (least_m + most_m)
             self.swing_m, self.rose = 0.5 * (most_m - least_m), False
             self.phase, self.begin_ns, self.begin_z_m = HOLD, t_ns, z_m
-        elif self.phase == RUN and t_ns < self.settled_ns and not self.is_repeated:
-            self._begin_run(z_m)
         elif self.phase == RUN:
             self._look_for_a_motion(t_ns, z_m)
         elif self.phase in (HOLD, LIFT):
@@ -150,11 +142,6 @@ class NaiveResponse:
         rises = r.ASCENT_SHARE * ascent_m > descent_m and descent_m < self.band_m
         repeats = self.is_repeated
         rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
-        steep = not rises and rate_mps * self.answer_s > r.STEEP * self.standoff_m
-        if self.in_run <= (1.0 if steep else c.MIN_MEANS) * self.number:
-            return
-        if rises and self.number <= m.MIN_READINGS and not repeats:
-            return
         motion_m = r.ASCENT_SHARE * ascent_m if rises else descent_m
         ahead = abs(self.lead_m) >= APART_M
         error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
@@ -165,24 +152,30 @@ class NaiveResponse:
         enough = motion_m > c.MOTION_BANDS * self.band_m
         quiet = self.is_quiet
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
+        comes_back = suspicious and t_ns < self.returned_ns and not repeats
+        steep = not rises and (comes_back or rate_mps * self.answer_s > r.STEEP * self.standoff_m)
+        if self.in_run <= (1.0 if steep else c.MIN_MEANS) * self.number:
+            return
+        if rises and self.number <= m.MIN_READINGS and not repeats:
+            return
         doubtful = enough and self.number >= m.MAX_READINGS and no_lag and work > c.SHIFT_ERROR_MOTION
         stops_m = rate_mps * (self.delay_s + self.tau_s)
         far = self.number > m.MIN_READINGS and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
         distant = motion_m > c.SHIFT_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * c.MIN_MEANS * self.number
-        if t_ns < self.unshifted_ns and not repeats:
+        if t_ns < self.settled_ns and not repeats:
             suspicious = doubtful = distant = False
         sign = doubtful or (enough and distant) or suspicious
         if self.shift_ns is None and ((long and sign) or (steep and enough)):
             self.shift_ns, self.lift_m = t_ns, (2.0 if steep else 1.0) * r.SHIFT_BANDS * self.band_m
         wait_s = self.answer_s
         if steep:
-            wait_s = self.delay_s + self.tau_s + self.number * self.interval_s
+            wait_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s - self.tau_s
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > wait_s
         self.rose = rises
         if rises and unanswered:
             self._lift(t_ns, z_m, self.lift_m + c.MOTION_BANDS * self.band_m + self.tau_s * rate_mps)
-        elif not rises and (unanswered or far or (suspicious and (t_ns >= self.returned_ns or repeats))):
+        elif not rises and (unanswered or far or (suspicious and not comes_back)):
             self.phase, self.begin_ns, self.begin_z_m, self.lift_m = HOLD, t_ns, z_m, 0.0
 
     def _lift(self, t_ns: int, z_m: float, lift_m: float) -> None:

@@ -55,7 +55,9 @@ def constants(source: str) -> set[str]:
     for node in ast.parse(source).body:
         targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
         for name in (n for t in targets if t is not None for n in ast.walk(t)):
-            if isinstance(name, ast.Name) and name.id == name.id.upper() and name.id.strip("_"):
+            if not isinstance(name, ast.Name) or not isinstance(name.ctx, ast.Store):
+                continue  # an index of what is assigned
+            if name.id == name.id.upper() and name.id.strip("_"):
                 found.add(name.id)
     return found
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from arbiter.arbiter_process import CONFIG, compile_client, compile_waiting
+from arbiter.arbiter_process import COMPILERS, CONFIG, PATROL, ROOT, WARNINGS, compile_client, compile_waiting
 from running_service import until
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter.cheader import HEADER, header_text
@@ -16,6 +17,18 @@ from surffollow.arbiter.cheader import HEADER, header_text
 
 def test_the_committed_header_is_current():
     assert header_text() == HEADER.read_text(), "run python -m surffollow.arbiter.cheader"
+
+
+@pytest.mark.parametrize("level", ["-O0", "-O1", "-O2", "-O3"])
+@pytest.mark.parametrize("language", ["C", "C++"])
+def test_the_header_compiles_without_a_warning(language, level, tmp_path):
+    # compilers see more of a copied name where they inline
+    compiler = COMPILERS[language]
+    if shutil.which(compiler[0]) is None:
+        pytest.skip(f"no {compiler[0]} on this machine")
+    command = [*compiler, *WARNINGS, level, f"-I{ROOT / 'include'}", "-c", str(PATROL)]
+    done = subprocess.run([*command, "-o", str(tmp_path / "a.o")], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.fixture(scope="module", params=["C", "C++"])

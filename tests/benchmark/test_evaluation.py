@@ -106,6 +106,37 @@ if __name__ == "__main__":
     until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), "the end of its processes")
 
 
+def test_its_processes_end_when_it_is_killed() -> None:
+    # GIVEN two processes, one at work and one that begins, and the tracker of their semaphores
+    code = """
+import time
+from surffollow.benchmark.cell_runs import in_parallel
+if __name__ == "__main__":
+    for _ in in_parallel(time.sleep, [1e6] * 50, 2, None):
+        pass
+"""
+    with subprocess.Popen([sys.executable, "-c", code], start_new_session=True) as child:
+        children = Path(f"/proc/{child.pid}/task/{child.pid}/children")
+        workers = until(lambda: (c := children.read_text().split()) and len(c) >= 3 and c, "its processes")
+        try:
+            # WHEN it is killed
+            child.kill()
+            child.wait(WAIT_S)
+            # THEN none of them goes on
+            until(lambda: not any(map(is_alive, workers)), "the end of its processes")
+        finally:
+            for pid in filter(is_alive, workers):
+                os.kill(int(pid), signal.SIGKILL)
+
+
+def is_alive(pid: str) -> bool:
+    """Whether a process runs; one that nobody waits for has ended, too."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
 def test_files_of_one_stem_are_distinguished_and_nothing_runs_twice(hill: str, tmp_path: Path) -> None:
     other = tmp_path / "other" / "hill.csv"
     other.parent.mkdir()

@@ -112,6 +112,11 @@ def test_a_full_file_is_taken_as_written(tmp_path):
         ({"follow": 3}, ["follow"]),
         ({"follow": {"offset": 0.1, "offset_m": 0.1}}, ["offset_m", "[follow]", "as offset and as offset_m"]),
         ({"follow": {"loss_timeout": 2}}, ["loss_timeout = 2 has no unit", "'2 s' or '30 ms'"]),
+        ({"limits": {"offset": "60 mm"}}, ["limits.offset is '60 mm'", 'offset = { max = "20 mm" }']),
+        (
+            {"access": {"ranges": "no-such-laser"}},
+            ["access.ranges: there is no user 'no-such-laser'", "'any', or '' for no other user"],
+        ),
         ({"limits": {"loss_timeout": {"max": 3}}}, ["loss_timeout = 3 has no unit", "'2 s' or '30 ms'"]),
         (
             {"limits": {"max_demand": {"max": 0.05}, "max_demand_m": {"max": 0.05}}},

@@ -28,5 +28,5 @@ def feed(heights, way=1e-3, sigma=2e-4, seed=0, a=None, start=1):
     taken = []
     for k, h in enumerate(heights):
         t = (start + k) * 4 * MS + 10**9
-        taken.append(update_estimate(params, a, t, way, h + sigma * rng.standard_normal(), 0.1, 1))
+        taken.append(update_estimate(params, a, t, way, h + sigma * rng.standard_normal(), 0.1))
     return a, np.array(taken)

@@ -17,7 +17,7 @@ from surffollow.forecast.sensing.kinematics import update_kinematics
 from surffollow.forecast.setpoint.setpoint_blend import blend_setpoints, filter_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
-from surffollow.shm.layout_adaptive_estimation import CURVES, N_MODELS, N_PERIODS, WAVES
+from surffollow.shm.layout_adaptive_estimation import CURVES, N_MODELS, WAVES
 from surffollow.shm.layout_follow import FollowState
 
 from .feeding import MS, default_params, feed
@@ -157,8 +157,8 @@ def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
     rising = (BANK[:, 1] > 0.0) & (np.arange(N_MODELS) < WAVES)
     a["bank"]["slope"][rising] = 0.2
     a["bank"]["wave_number"] = SCALE
-    blend_setpoints(default_params(), a, 0, 0.0, 0.1, 1)
-    targets = a["shadow"]["setpoint_m"].reshape(N_PERIODS, -1)[0, :N_MODELS]
+    blend_setpoints(default_params(), a, 0, 0.0, 0.1)
+    targets = a["blend"]["axis_m"][:N_MODELS]
     lead_m = 0.1 * 0.04  # speed times τ
     assert targets[rising] == pytest.approx(0.1 + 0.2 * lead_m)
     assert targets[~rising] == pytest.approx(0.1)
@@ -171,11 +171,11 @@ def test_a_model_leads_less_by_the_part_that_it_leaves_out():
     a["bank"]["slope"] = 0.2
     a["bank"]["wave_number"] = SCALE
     a["lead"]["left_out"][slopes] = 0.25
-    blend_setpoints(default_params(), a, 0, 0.0, 0.1, 1)
+    blend_setpoints(default_params(), a, 0, 0.0, 0.1)
     whole_m = 0.2 * 0.1 * 0.04  # slope times speed times τ
     assert a["blend"]["model_m"][slopes] == pytest.approx(0.1 + 0.75 * whole_m)
     assert a["blend"]["model_m"][~slopes] == pytest.approx(0.1 + whole_m)
-    axes = a["shadow"]["setpoint_m"].reshape(N_PERIODS, -1)[0]
+    axes = a["blend"]["axis_m"]
     assert axes[:N_MODELS] == pytest.approx(0.1 + whole_m)
     assert axes[N_MODELS:] == pytest.approx(0.1)
 

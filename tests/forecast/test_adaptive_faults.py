@@ -241,7 +241,7 @@ class Robot:
 
 
 @pytest.mark.parametrize("rate_hz", [50, 250, 1000])
-@pytest.mark.parametrize("held_m", [0.1002, 0.1005, 0.103])
+@pytest.mark.parametrize("held_m", [0.1002, 0.1008, 0.103])
 def test_a_stuck_sensor_does_not_drive_the_tool_to_the_surface(rate_hz, held_m):
     robot = Robot(lambda x: 0.0, 0.1, rate_hz)
     robot.run(3.0)
@@ -251,6 +251,19 @@ def test_a_stuck_sensor_does_not_drive_the_tool_to_the_surface(rate_hz, held_m):
     assert "STUCK" in state["faults"]
     assert "VALID" not in state["status"]
     robot.run(1.0)
+    assert robot.f.state()["health"] == "OK"
+    assert np.abs(robot.run(1.0) - 0.1).max() < 5e-4
+
+
+def test_a_sensor_that_reads_again_what_it_was_stuck_at_is_believed_when_the_ground_changes():
+    """GIVEN a range stuck at what it reads again later THEN there is no demand until it changes by 1.5 b."""
+    robot = Robot(lambda x: 1e-3 if x > 0.95 else 0.0, 0.1, 50)
+    robot.run(3.0)
+    robot.run(5.0, held_m=[0.1005])
+    robot.run(1.0)
+    assert robot.f.state()["health"] == "STUCK"
+    assert "VALID" not in robot.f.state()["status"]
+    robot.run(1.5)
     assert robot.f.state()["health"] == "OK"
     assert np.abs(robot.run(1.0) - 0.1).max() < 5e-4
 

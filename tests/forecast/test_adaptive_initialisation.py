@@ -12,6 +12,7 @@ from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
+from surffollow.shm.layout_follow import RUN_FREEZE, RUN_NORMAL
 
 from .feeding import MS, default_params, feed
 
@@ -91,9 +92,10 @@ def test_noise_free_readings_have_no_negative_noise():
 def take(a, count, adapt, jump=0.0, start=1, seed=3):
     rng = np.random.default_rng(seed)
     params = default_params()
+    params["run"] = RUN_NORMAL if adapt else RUN_FREEZE
     for k in range(count):
         h = rng.normal(0.0, 5e-5) + (jump if k == 0 else 0.0)
-        update_estimate(params, a, 10**9 + (start + k) * 4 * MS, 1e-3, h, 0.1, adapt)
+        update_estimate(params, a, 10**9 + (start + k) * 4 * MS, 1e-3, h, 0.1)
 
 
 @pytest.mark.parametrize("adapt", [0, 1])
@@ -117,8 +119,9 @@ def test_frozen_the_gate_does_not_grow():
     scale = a["gate"]["scale_m"]
     rng = np.random.default_rng(7)
     params = default_params()
+    params["run"] = RUN_FREEZE
     for k in range(200):
-        update_estimate(params, a, 10**9 + (601 + k) * 4 * MS, 1e-3, rng.uniform(-0.03, 0.03), 0.1, 0)
+        update_estimate(params, a, 10**9 + (601 + k) * 4 * MS, 1e-3, rng.uniform(-0.03, 0.03), 0.1)
     assert a["gate"]["scale_m"] == scale
 
 

@@ -18,9 +18,12 @@ Way = Callable[[float], tuple[float, float, float]]  # time [s] → x [m], y [m]
 
 
 class Run:
-    """A robot with τ = 40 ms that travels a way over ground(x, y), from its first stand-off of 100 mm."""
+    """A robot with τ = 40 ms that travels a way over ground(x, y), from its first stand-off of 100 mm.
 
-    def __init__(self, sensors, way: Way, ground, seconds: float):
+    `blocked_m`: range of the last sensor from 1 s on.
+    """
+
+    def __init__(self, sensors, way: Way, ground, seconds: float, blocked_m: float | None = None):
         self.f = f = Follower({"memory": False, "orient": 0, "sensors": sensors}, offset_m=0.1)
         mounts = [s.get("position_m", [0.0])[0] for s in sensors]
         rng = np.random.default_rng(0)
@@ -33,7 +36,10 @@ class Run:
                 reported = z
             if k % 4 == 0 or k % 10 == 0:
                 spots = [(x + m * math.cos(yaw), y + m * math.sin(yaw)) for m in mounts]
-                d = f.step(t, [z - ground(*s) + 5e-5 * rng.standard_normal() for s in spots])
+                ranges = [z - ground(*s) for s in spots]
+                if blocked_m is not None and k > 1000:
+                    ranges[-1] = blocked_m
+                d = f.step(t, [r + 5e-5 * rng.standard_normal() for r in ranges])
             if k % 10 == 0:
                 goal = reported + d[2]
             expected = np.clip((goal - z) / 0.04, -0.2, 0.2)
@@ -116,6 +122,17 @@ def test_a_sensor_ahead_that_stops_leads_no_longer():
     assert run.f._state["adaptive"][0]["lookahead"]["lead_m"] == pytest.approx(0.05, abs=5e-3)
     run = Run(UNDER_AND_AHEAD, lambda t: (min(0.1 * t, 0.3), 0.0, 0.0), lambda x, y: 0.0, 3.3)
     assert run.f._state["adaptive"][0]["lookahead"]["lead_m"] == 0.0
+
+
+@pytest.mark.parametrize("blocked_m", [0.12, 0.15, 0.2])
+def test_a_second_sensor_ahead_cannot_lead_the_tool_where_none_is_under_it(blocked_m):
+    """GIVEN two sensors ahead WHEN the farther one is blocked THEN nothing changes on level ground.
+
+    Its ground was buffered with that of the first, and fell with the tool: down to the ground, health OK.
+    """
+    sensors = [{"position_m": [x, 0.0, 0.0], "near_m": 0.03, "far_m": 0.25} for x in (0.02, 0.15)]
+    run = Run(sensors, lambda t: (0.4 * t, 0.0, 0.0), lambda x, y: 0.0, 3.0, blocked_m)
+    assert run.least_m() > -1e-3
 
 
 @pytest.mark.parametrize("sensors", [UNDER_AND_AHEAD, [AHEAD]])

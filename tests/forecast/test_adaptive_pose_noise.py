@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-
-from .job_loop import BOOM, CELL, follow
+from surffollow.benchmark.job_loop import BOOM, CELL, follow
 
 MS = 1_000_000
 TAU_S, STANDOFF_M = 0.04, 0.1

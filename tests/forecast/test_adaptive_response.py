@@ -11,6 +11,7 @@ from surffollow import Follower
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.hazard_scenarios import SIGMA_M, STANDOFF_M, draw
 from surffollow.benchmark.hazards import PLoop, play
+from surffollow.benchmark.job_loop import Job, follow
 from surffollow.benchmark.runner import run_method, scene_of, score_run
 from surffollow.benchmark.suite import Cell
 from surffollow.shm.layout_adaptive_sensing import (
@@ -19,7 +20,6 @@ from surffollow.shm.layout_adaptive_sensing import (
     RESPONSE_RUN,
 )
 
-from .job_loop import Job, follow
 from .response_loop import MS, TAU_MS, closed_loop, noisy, standard
 
 

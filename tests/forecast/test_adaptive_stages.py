@@ -27,7 +27,7 @@ from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_estimation import CURVES, MEMORY_CELLS
-from surffollow.shm.layout_follow import SenseState
+from surffollow.shm.layout_follow import RUN_FREEZE, SenseState
 
 from .feeding import MS, default_params, feed
 
@@ -163,8 +163,9 @@ def test_frozen_adaptation_keeps_weights_noise_and_wave_numbers():
     numbers = a["bank"]["wave_number"].copy()
     before = a["weights"]["weight"].copy(), float(a["noise"]["sigma_m"]), a["weights"]["recent_m2"].copy()
     rng = np.random.default_rng(1)
+    params["run"] = RUN_FREEZE
     for k in range(300, 500):
-        update_estimate(params, a, 10**9 + k * 4 * MS + 4 * MS, 1e-3, 1e-3 * rng.standard_normal(), 0.1, 0)
+        update_estimate(params, a, 10**9 + k * 4 * MS + 4 * MS, 1e-3, 1e-3 * rng.standard_normal(), 0.1)
     assert (a["weights"]["weight"] == before[0]).all()
     assert a["noise"]["sigma_m"] == before[1]
     assert (a["weights"]["recent_m2"] == before[2]).all()

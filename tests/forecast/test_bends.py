@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from .job_loop import Job, follow
+from surffollow.benchmark.job_loop import Job, follow
 
 AUV = Job(5.0, 2.0, 1.0, 0.2, 0.5, 0.3, 0.001, (0.5, 40.0))
 DRONE = Job(2.0, 0.35, 0.1, 0.05, 2.0, 4.0, 0.002, (0.2, 12.0))

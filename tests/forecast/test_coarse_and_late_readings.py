@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from forecast.job_loop import CELL, Job, follow
+from surffollow.benchmark.job_loop import CELL, Job, follow
 
 DRONE = Job(3.0, 0.5, 0.05, 0.02, 2.5, 5.0, 0.02, (0.2, 12.0))
 TORCH = Job(0.004, 0.03, 0.002, 0.005, 0.2, 4.0, 0.05e-3, (0.0005, 0.012))

@@ -9,6 +9,7 @@ import pytest
 
 from surffollow.benchmark import families
 from surffollow.benchmark.hazard_scenarios import SIGMA_M, STANDOFF_M
+from surffollow.benchmark.job_loop import Job, follow
 from surffollow.forecast.sensing.descent import observe_descent
 from surffollow.forecast.step import reset_stop
 from surffollow.shm.dtypes import zeros
@@ -16,7 +17,6 @@ from surffollow.shm.layout_adaptive import REASON_DESCENT, REASON_NAMES, Adaptiv
 from surffollow.shm.layout_follow import STOP_DESCENT, STOPPED, VALID
 
 from .feeding import default_params
-from .job_loop import Job, follow
 from .response_loop import MS, closed_loop, noisy, standard
 
 REASON = REASON_NAMES[REASON_DESCENT]

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from .job_loop import BOOM, CELL, follow
+from surffollow.benchmark.job_loop import BOOM, CELL, follow
 
 
 def run_filtered(job, filter_taus, is_stamped, seed=1):

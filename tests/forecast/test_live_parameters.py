@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from surffollow.benchmark.job_loop import BOOM, follow
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.shm.dtypes import zeros
@@ -14,7 +15,6 @@ from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import RUN_FREEZE
 
 from .feeding import default_params
-from .job_loop import BOOM, follow
 
 FIELD = replace(
     BOOM, standoff_m=0.5, tau_s=0.15, reading_s=0.02, v_max_mps=0.8, a_max_mps2=4.0, sigma_m=0.005

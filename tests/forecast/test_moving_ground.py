@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from forecast.job_loop import BOOM, CELL, Job, follow
 from surffollow import Follower
+from surffollow.benchmark.job_loop import BOOM, CELL, Job, follow
 
 TORCH = Job(0.004, 0.03, 0.002, 0.005, 0.2, 4.0, 0.05e-3, (0.0005, 0.012))
 

@@ -297,6 +297,37 @@ def test_a_clock_of_everything_that_is_set_back_is_followed_in_whatever_order_it
         assert walk.seen[-1] == (True, "OK", "")
 
 
+@pytest.mark.parametrize("others", [True, False])
+@pytest.mark.parametrize("back_ms", [150, 200, 320, 480, 800])
+def test_a_clock_that_is_set_back_by_less_than_a_second_is_followed_within_a_drop_out(back_ms, others):
+    """GIVEN a steady slope WHEN every timestamp goes back THEN the estimate begins anew, soon, with a fault.
+
+    Every pose was refused until the old time had come again, `VALID` and `OK`: a torch touched the ground.
+    """
+    walk = Walk(others=others)
+    walk.go(2000)
+    before = walk.demands[-1]
+    walk.go(150, -back_ms, pose_ahead_ms=-back_ms)
+    assert "CLOCK" in walk.f.state()["faults"]
+    assert walk.f.state()["poses_refused"] <= 6
+    assert walk.go(1000, -back_ms, pose_ahead_ms=-back_ms) == (True, "OK", "")
+    assert abs(walk.demands[-1] - before) < 2e-4
+
+
+def test_poses_that_were_overtaken_do_not_begin_anything_anew():
+    """GIVEN two routes of poses WHEN poses of one are 0.2 s late THEN these are refused, without a fault."""
+    walk = Walk()
+    for _ in range(100):
+        walk.go(10)
+        late_ms = walk.ms - 200
+        walk.f.pose(
+            10**13 + late_ms * MS, (1e-4 * late_ms, 0.0, STANDOFF_M + 1e-5 * late_ms, 0.0, 0.0, 0.0, 1.0)
+        )
+    assert walk.f.state()["poses_refused"] == 100
+    assert walk.f.state()["faults"] == []
+    assert walk.seen[-1] == (True, "OK", "")
+
+
 def test_poses_that_stop_for_a_while_do_not_change_the_usual_lead():
     """GIVEN readings without a pose for 1.6 s WHEN the sensor clock is set back later THEN it is followed."""
     walk = Walk(others=False)

@@ -94,6 +94,27 @@ def test_one_frozen_beam_of_eight_does_not_lead_the_tool_away():
     assert abs(distances[-200:] / STANDOFF_M - 1.0).max() < 0.1
 
 
+@pytest.mark.parametrize("step_m", [-0.006, 0.006])
+@pytest.mark.parametrize("beam", [0, 5])
+def test_a_blocked_beam_of_eight_is_left_out_also_where_the_slopes_are_wrong(beam, step_m):
+    """GIVEN a beam blocked at 0.83 stand-offs WHEN the ring crosses small steps THEN the seven others count.
+
+    Slopes from the blocked beam stayed, so that the others never agreed: 0.8 stand-offs too high for good.
+    """
+
+    def blocked(t, ranges, rng):
+        if t > 1.0:
+            ranges = [*ranges]
+            ranges[beam] = 0.83 * STANDOFF_M + 1e-4 * rng.standard_normal()
+        return ranges
+
+    distances, _ = follow(
+        ring(8), 8 * [UPRIGHT], lambda x: step_m * (0.2 < x < 0.5), 9.0, 0.1, misread=blocked
+    )
+    print(f"greatest {1e3 * distances.max():.1f} mm, at the end {1e3 * distances[-1]:.1f} mm")
+    assert abs(distances[-200:] / STANDOFF_M - 1.0).max() < 0.1
+
+
 def test_a_middle_beam_makes_a_wide_ring_follow_a_pipe():
     """GIVEN a pipe of two stand-offs THEN the beams of a square disagree for good, with a middle one not."""
     radius_m, rms = 0.2, []

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from .job_loop import BOOM, CELL, Job, follow
+from surffollow.benchmark.job_loop import BOOM, CELL, Job, follow
 
 
 @pytest.mark.parametrize("job", [CELL, BOOM], ids=["cell", "boom"])

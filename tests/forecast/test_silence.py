@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-
-from .job_loop import BOOM, CELL, Job, follow
+from surffollow.benchmark.job_loop import BOOM, CELL, Job, follow
 
 MS = 1_000_000
 AUV = Job(5.0, 2.0, 1.0, 0.2, 0.5, 0.3, 0.01, (0.5, 40.0))

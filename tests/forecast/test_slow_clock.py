@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from .job_loop import CELL, follow
+from surffollow.benchmark.job_loop import CELL, follow
 
 LATE = "readings arrive later than they did"
 FAST = "the sensor's clock is fast"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from forecast.driving import MS, Kernel, default_params
-from forecast.job_loop import Job, follow
+from surffollow.benchmark.job_loop import Job, follow
 from surffollow.forecast.plant.plant_identification import (
     predict_pose,
     record_own_setpoint,

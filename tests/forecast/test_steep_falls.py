@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
+from surffollow.benchmark.job_loop import Job, follow
 from surffollow.forecast.sensing.response import observe_response
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_RUN
 
 from .driving import default_params
-from .job_loop import Job, follow
 
 # stand-off, τ, readings, poses, limits, noise, window
 DRONE = Job(5.0, 0.5, 0.1, 0.04, 4.0, 6.0, 0.01, (0.5, 20.0))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +21,7 @@ from surffollow.record.recorded_inputs import load_recorded_inputs
 from surffollow.record.replay import replay_file
 from surffollow.record.replay_service import LEAD_NS, driver_info
 from surffollow.record.session import record_service
+from surffollow.shm.name_lock import holder
 
 POSE = (0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0)
 DEADLINE_S = 300.0
@@ -189,3 +192,19 @@ def test_a_damaged_recording_is_not_played(tmp_path: Path, recording_bytes: byte
     path.write_bytes(recording_bytes[: len(recording_bytes) // 2])
     with pytest.raises(RecordingError, match="cannot be played"):
         play_live(path)
+
+
+def test_the_service_of_a_player_that_is_killed_ends(
+    bare: Service, make_recording: Callable[..., Path]
+) -> None:
+    # GIVEN a recording that is played into a service of its own
+    path = make_recording(cycles=2400, snapshot_cycles=500)
+    words = [sys.executable, "-m", "surffollow", "replay", str(path), "--live", "--name", bare.name]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as player:
+        try:
+            until(lambda: holder(bare.name) > 0, "the start of its service", DEADLINE_S)
+        finally:
+            # WHEN the player is killed
+            player.kill()
+    # THEN the service ends
+    until(lambda: holder(bare.name) == 0, "the end of its service", DEADLINE_S)

@@ -336,7 +336,7 @@ def test_an_absent_program_has_its_own_reason_and_remedy(monkeypatch, code, said
 
 
 def test_a_unit_file_that_is_not_there_and_a_machine_without_systemd(tmp_path, monkeypatch):
-    with pytest.raises(UsageError, match="no unit file"):
+    with pytest.raises(UsageError, match=r"no unit file.*surffollow/systemd/surffollow\.service"):
         examine_unit(tmp_path / "none.service")
     monkeypatch.setattr("surffollow.service.doctor_unit.shutil.which", lambda _: None)
     assert {f.state for f in examine_unit(UNIT)} == {"unknown"}

@@ -28,6 +28,7 @@ from surffollow.errors import (
 from surffollow.hw.registry import make_driver
 from surffollow.service import shared_objects
 from surffollow.shm import objects
+from surffollow.shm.bit_names import GRANT_NAMES
 
 Make = Callable[..., Service]
 REGION = (0.0, 0.0, 0.1, 0.1)
@@ -62,6 +63,18 @@ def test_status_tells_that_there_is_no_map_and_a_command_lays_one(service: Servi
         facts = drive(client, lambda: (m := client.status()["map"])["taken"] > 0 and m, what="a sample in it")
     assert (facts["state"], facts["nx"] > 10) == ("ready", True)
     assert "map      ready, " in service.run("status").stdout
+
+
+def test_the_status_at_ready_has_the_grants_of_the_cycles_thread(make_service: Make) -> None:
+    # GIVEN a service that stands still from READY on
+    s = make_service().start()
+    s.freeze()
+    # WHEN its status is read, THEN every grant is told or its refusal
+    with s.observe() as watcher:
+        main = watcher.status()["main"]
+    for n, name in enumerate(GRANT_NAMES):
+        assert main["granted"] >> n & 1 or f"{name}: " in main["text"] or name == "mlockall"
+    assert "compiling" not in main["text"]
 
 
 def test_a_follower_without_poses_is_not_told_as_ok(own_service: Service) -> None:

@@ -11,9 +11,9 @@ import pytest
 from service.map_loop import MapLoop
 from shell_loop import MS, START
 from surffollow.forecast.plant.controller_clock import (
+    begin_period,
     latch_time,
     observe_latch,
-    open_period,
     period_is_due,
 )
 from surffollow.shm.dtypes import zeros
@@ -184,11 +184,9 @@ class Periods:
 
     def answer(self, t_ns):
         """A setpoint is computed now; when the controller takes it."""
-        self._controller["period_ns"] = START + t_ns
-        self._controller["periods"] += 1
         self._adaptive["setpoint"]["interval_s"] = 0.0
         self._adaptive["clock"]["now_ns"] = START + t_ns
-        open_period(self._adaptive, self._inputs(False))
+        begin_period(self._adaptive, self._inputs(False))
         return self.latch_ns(t_ns)
 
     def latch_ns(self, t_ns, answers_each=False):

@@ -73,6 +73,17 @@ def test_robot_prints_one_json_object_and_writes_its_trace(tmp_path: Path) -> No
     assert not os.path.exists(f"/dev/shm/{NAME}.world")
 
 
+def test_a_run_too_short_to_be_scored_says_when_scoring_begins() -> None:
+    summary = json.loads(command("--seconds", "0.5", "--json").communicate()[0])
+    assert summary["standoff_rms_m"] is None
+    text = "nothing was scored: scoring begins 100 mm along the path, here after 2.1 s of motion"
+    assert summary["not_scored"].startswith(text)
+    assert f"note: {text}" in command("--seconds", "0.5").communicate()[0]
+    assert "first 100 mm are not scored" in " ".join(
+        CliRunner().invoke(simulate_command, ["--help"]).output.split()
+    )
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_robot_ends_cleanly_when_asked_and_still_prints_its_summary(number: signal.Signals) -> None:
     process = command("--seconds", "600")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import signal
 import subprocess
 import time
@@ -14,18 +13,8 @@ from typing import Any
 
 from surffollow.errors import AlreadyRunningError, ServiceError, SurffollowError
 from surffollow.service.terminate_child import end_child
-from surffollow.shm.python_child import code_command
+from surffollow.shm.python_child import bound_command, code_command
 
-# PR_SET_PDEATHSIG: SIGTERM when the demonstration dies, and an end at once when it is dead by then
-_CHILD = """
-import ctypes, os, sys
-ctypes.CDLL(None).prctl(1, 15, 0, 0, 0)
-if os.getppid() != int(sys.argv[1]):
-    sys.exit(1)
-from surffollow.cli.main import main
-del sys.argv[1]
-main()
-"""
 _CLEANUP_CODE = (
     "import sys; sys.stdin.read(); from surffollow.apps.child_processes import purge; "
     "purge(sys.argv[1], 30.0)"
@@ -40,7 +29,7 @@ class Child:
         self._errors = (folder / f"{what}.err").open("w+")
         # a session of its own: Ctrl-C reaches the demonstration alone, which ends its children in order
         self.child = subprocess.Popen(
-            code_command(_CHILD, str(os.getpid()), *words),
+            bound_command(*words),
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,

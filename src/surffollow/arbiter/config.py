@@ -87,7 +87,9 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Arbiter
         config = msgspec.convert(data, ArbiterConfig)
         _check(config)
     except (msgspec.ValidationError, ConfigError, InvalidNameError) as e:
-        raise ConfigError(f"{source}: {e}; see docs/reference/arbiter.md") from None
+        raise ConfigError(
+            f"{source}: {e}; see docs/reference/arbiter.md of the source distribution"
+        ) from None
     return config
 
 

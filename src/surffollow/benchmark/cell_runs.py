@@ -6,6 +6,7 @@ No task depends on another or on the order of execution, so the number of proces
 from __future__ import annotations
 
 import math
+import os
 import signal
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -14,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.benchmark.conditions import Conditions
+from surffollow.benchmark.conditions import Conditions, SensorConfig
 from surffollow.benchmark.methods import BASELINES, LIMIT, ORACLE
 from surffollow.benchmark.runner import LIMIT_FLOOR_M, LIMIT_TOLERANCE, Result, Task, Tuned, do_task
 from surffollow.benchmark.suite import Cell
 from surffollow.errors import FaultError
+from surffollow.shm.python_child import end_with_parent
 from surffollow.sim.plant import PlantConfig
 
 FOLLOWER_CHUNK = 4  # seeds per task of a Python follower: evens out the load
@@ -49,7 +51,9 @@ def in_parallel(
         return
     others = set(active_children())
     # spawn: a forked child would inherit threads and locks of the embedding program
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        processes, get_context("spawn"), initializer=end_with_parent, initargs=(os.getpid(),)
+    ) as pool:
         try:
             for future in as_completed(_submitted(pool, work, jobs)):
                 yield future.result()
@@ -164,11 +168,15 @@ def run_cells(
 def _run_of(cell: Cell, method: str) -> tuple[str, str]:
     """Inputs of a method's figures in a cell; cells of the main table and of sweeps may share a run.
 
-    The limit is that of surface, speed and axis, independent of the sensor.
+    The limit is that of surface, speed, axis and stand-off, independent of the sensor.
     """
     if method == LIMIT:
-        axis = cell.conditions.plant
-        bare = Conditions(plant=PlantConfig(v_max_mps=axis.v_max_mps, a_max_mps2=axis.a_max_mps2))
+        axis, standoff_m = cell.conditions.plant, cell.conditions.standoff_m
+        bare = Conditions(
+            plant=PlantConfig(v_max_mps=axis.v_max_mps, a_max_mps2=axis.a_max_mps2),
+            sensor=SensorConfig(near_m=0.0, far_m=2.0 * standoff_m),
+            standoff_m=standoff_m,
+        )
         cell = Cell(cell.surface, cell.speed_mps, bare)
     return cell.key, method
 

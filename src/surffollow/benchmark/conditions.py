@@ -9,7 +9,7 @@ from typing import Literal
 import msgspec
 
 from surffollow.errors import ConfigError
-from surffollow.sim.plant import PlantConfig, from_table, load_plant, read_tables
+from surffollow.sim.plant import PlantConfig, from_table, load_plant, plant_keys, read_tables
 
 STANDOFF_M = 0.1016  # the middle of the sensor's 2-6 in window
 UNSCORED_M = 0.1  # the first 100 mm of a path do not count
@@ -70,7 +70,7 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reference : what the controller adds a demand to: the newest report the follower had ("report"),
         or the newest report there is ("newest", which costs every method)
     nominal_tau_s : time constant that the follower is configured with [s]
-    standoff_m : desired distance between tool and ground [m]
+    standoff_m : desired distance between tool and ground [m], inside the sensor's window
     unscored_m : so much of the path does not count at first [m]
     """
 
@@ -85,6 +85,12 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         _check(self, positive=("nominal_tau_s", "standoff_m"), not_negative=("lead_m", "unscored_m"))
+        near_m, far_m = self.sensor.near_m, self.sensor.far_m
+        if not near_m < self.standoff_m < far_m:
+            raise ConfigError(
+                f"the stand-off {self.standoff_m:g} m is outside the window {near_m:g} to {far_m:g} m; "
+                "in a plant file set standoff, or near and far under [sensor]"
+            )
 
     def but(self, **changes: object) -> Conditions:
         """Return a copy in which some fields differ."""
@@ -94,18 +100,38 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 PAPER_PROFILE = Conditions(pose=PoseConfig(rate_hz=32.0))
 
 
-def load_conditions(path: str | Path) -> Conditions:
-    """Read plant, [pose] and [sensor] from a TOML file; what it leaves out keeps its default.
+class _Standoff(msgspec.Struct, frozen=True):
+    standoff_m: float | None = None
 
-    The follower is configured with the τ of the file; the plant sweep covers a wrong one.
+
+def default_standoff_m(sensor: SensorConfig) -> float:
+    """Stand-off of a sensor [m]: that of the default sensor, or the middle of a window without it."""
+    inside = sensor.near_m < STANDOFF_M < sensor.far_m
+    return STANDOFF_M if inside else 0.5 * (sensor.near_m + sensor.far_m)
+
+
+def load_conditions(path: str | Path) -> Conditions:
+    """Read plant, [pose], [sensor] and `standoff` from a TOML file; what it leaves out keeps its default.
+
+    The follower is configured with the τ of the file; the plant sweep covers a wrong one. A file without
+    `standoff` has that of `default_standoff_m`.
 
     Raises
     ------
     ConfigError
-        unreadable file, unknown key, value out of range
+        unreadable file, unknown key, value out of range, stand-off outside the sensor's window
     """
     plant = load_plant(path)
     table = read_tables(path)
     pose = from_table(table.get("pose", {}), PoseConfig, f"[pose] of '{path}'")
     sensor = from_table(table.get("sensor", {}), SensorConfig, f"[sensor] of '{path}'")
-    return Conditions(plant=plant, pose=pose, sensor=sensor, nominal_tau_s=plant.tau_s)
+    own = {k: v for k, v in plant_keys(table).items() if k in ("standoff", "standoff_m")}
+    standoff_m = from_table(own, _Standoff, f"plant '{path}'").standoff_m
+    if standoff_m is None:
+        standoff_m = default_standoff_m(sensor)
+    try:
+        return Conditions(
+            plant=plant, pose=pose, sensor=sensor, nominal_tau_s=plant.tau_s, standoff_m=standoff_m
+        )
+    except ConfigError as error:
+        raise ConfigError(f"plant '{path}': {error}") from None

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.benchmark.baselines import POLICY_EXTRAPOLATE, POLICY_HOLD, run_jitted
-from surffollow.benchmark.conditions import STANDOFF_M, Conditions
+from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.loop import World
 from surffollow.benchmark.methods import BASELINES
 from surffollow.benchmark.runner import run_method
@@ -86,7 +86,7 @@ def dropout_trial(method: str, case: str, seed: int, conditions: Conditions) -> 
     """
     scene, begin_s, end_s = _scene(case, seed, conditions)
     _, w = _run(method, scene)
-    e = w.z - scene.ground_m - STANDOFF_M
+    e = w.z - scene.ground_m - conditions.standoff_m
     late = conditions.sensor.latency_s
     begin, back, end = (
         round(begin_s * 1e3),

@@ -100,10 +100,10 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     rows = [r.row() | {"surface": labels[r.cell.surface]} for r in results]
     main = [r for r in rows if "variant" not in r]
     swept = [r for r in rows if "variant" in r]
-    found: dict[str, Any] = {"results": main}
+    found: dict[str, Any] = {"results": main, "standoff_m": conditions.standoff_m}
     if swept:
         found["sweeps"] = swept
-    text = text_table(rows)
+    text = (_conditions_text(conditions) if request.plant else "") + text_table(rows)
     verdicts: list[comparison.Verdict] = []
     scored_tables: list[str] = []
     if request.criteria:
@@ -136,6 +136,11 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
         kept = f"; the results are in {folder}" if folder else ""
         raise FaultError(f"{faults[0]}{more}{kept}")
     return Outcome(found, text, all(v.passed for v in verdicts), results)
+
+
+def _conditions_text(conditions: Conditions) -> str:
+    mm = (1e3 * conditions.standoff_m, 1e3 * conditions.sensor.near_m, 1e3 * conditions.sensor.far_m)
+    return "stand-off {:g} mm in the sensor's window of {:g} to {:g} mm\n\n".format(*mm)
 
 
 def _write(folder: Path, found: dict[str, Any], *tables: str) -> None:

@@ -51,7 +51,9 @@ def make_ground(s: Scenario) -> Ground:
     x = -MARGIN_M + STEP_M * np.arange(int((max(begin_m, turn_m) + 2.0 * MARGIN_M) / STEP_M))
     make: Any = (hull, lap_joints, terrain)[s.seed % 3]
     kind = KINDS[s.family]
-    rise = np.maximum(x - begin_m, 0.0) if kind.rises else np.abs(x - begin_m) if kind.valley else x
+    before, behind = np.maximum(begin_m - x, 0.0), np.maximum(x - begin_m, 0.0)
+    shapes = {kind.rises: behind, kind.levels: before, kind.valley: before + behind}
+    rise = shapes.get(True, x)
     later = make(rng, x) + s.slope * rise
     first = later.copy()
     if s.family == "slots":  # groups of five, 2 to 6 mm wide

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ class Kind:
 
     `signed`: the size has either sign. `passes`: 2 means there and back over the same ground.
     `slope`: of a plane under the ground, of either sign. `rises`: it begins in the middle, and rises;
-    `valley`: it falls until the middle, and rises from there.
+    `valley`: it falls until the middle, and rises from there; `levels`: it is level from there.
     `interval_ms`: between readings, log-uniform. `factor`: of the speed from the middle on.
     `turn_s`: the tool turns back every so often.
     """
@@ -44,10 +45,12 @@ class Kind:
     interval_ms: tuple[int, int] = (READING_MS, READING_MS)
     rises: bool = False
     valley: bool = False
+    levels: bool = False
     factor: tuple[float, float] = (1.0, 1.0)
     turn_s: tuple[float, float] | None = None
 
 
+_FALL: dict[str, Any] = {"slope": (0.2, 1.0), "interval_ms": (READING_MS, 60), "levels": True}
 KINDS = {
     "stuck": Kind((0.0, 5e-3), (0.3, 1.5), signed=True),
     "blocked": Kind((0.0, 5e-3), (0.3, 1.5), signed=True),
@@ -92,6 +95,9 @@ KINDS = {
     "much noise": Kind((1e-3, 20e-3), (2.0, 2.0)),
     "overtaking": Kind(length_s=(2.0, 2.0), late_s=(0.0, 0.04)),
     "blocked on a slope": Kind((0.0, 10e-3), (0.5, 2.0), signed=True, slope=(0.05, 0.3)),
+    "end of a fall": Kind(**_FALL),
+    "frozen at the end of a fall": Kind((0.1 * SIGMA_M, 0.5 * SIGMA_M), (0.5, 2.0), **_FALL),
+    "blocked at the end of a fall": Kind((0.0, 20e-3), (0.5, 2.0), signed=True, **_FALL),
 }
 MAX_CLIMB_MPS = 0.1  # over slopes of more than 1: half of what the axis can
 MAX_RISE = 0.25  # between two readings, of the distance between stand-off and near limit
@@ -148,7 +154,7 @@ def draw(family: str, seed: int) -> Scenario:
         math.copysign(low, size) + (high - low) * size,
         kind.length_s[0] + (kind.length_s[1] - kind.length_s[0]) * length,
         kind.late_s[0] + (kind.late_s[1] - kind.late_s[0]) * late,
-        -slope if falls < 0.5 and not (kind.rises or kind.valley) else slope,
+        -slope if falls < 0.5 and not (kind.rises or kind.valley or kind.levels) else slope,
         interval_ms,
         None if kind.factor == (1.0, 1.0) else then * speed,
         None if kind.turn_s is None else float(rng.uniform(*kind.turn_s)),

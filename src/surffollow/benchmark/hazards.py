@@ -33,7 +33,7 @@ from surffollow.sim.plant import PlantConfig, axis_step, setpoint_for
 
 P_GAIN, P_TIMEOUT_MS, P_TIMEOUT_INTERVALS = 0.7, 130, 2.5
 HELD_MS = 100
-NOISY = tuple(f for f in KINDS if "blocked" in f or f in ("frozen", "constant and far"))
+NOISY = tuple(f for f in KINDS if "blocked" in f or f.startswith("frozen") or f == "constant and far")
 PLANT = PlantConfig()
 
 
@@ -102,7 +102,7 @@ def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> flo
     if s.family in ("stuck", "leading frozen", "all stuck", "one of four"):
         return held + s.size_m + COUNT_M * int(rng.integers(0, 2))
     if s.family in NOISY:  # something moves with the sensor; less noise than usual
-        return held + (s.size_m * n if s.family == "frozen" else s.size_m + SIGMA_M * n)
+        return held + (s.size_m * n if s.family.startswith("frozen") else s.size_m + SIGMA_M * n)
     if s.family in ("biased", "near", "leading wrong", "two of four"):
         return r + (-s.size_m if s.family == "near" else s.size_m)
     if s.family == "coarse counts":

@@ -9,25 +9,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.benchmark.conditions import STANDOFF_M, Conditions
+from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.followers import follower_config
 from surffollow.benchmark.loop import MS_NS
 from surffollow.benchmark.scene import START_NS
 
 RADIUS_M = 0.04
 TILT = (0.06, -0.04)  # slopes of the plane along x and y
+WAY_SHARE = (
+    0.5  # of the way from the stand-off to the nearer end of the window, for the readings of the circle
+)
 SETTLE_MS, SCORED_MS = 1000, 2000
 
 
-def mounts(count: int) -> NDArray[np.float64]:
-    """(count, 2) positions of the sensors on a circle of 40 mm [m]."""
+def radius_m(conditions: Conditions) -> float:
+    """Radius of the sensors' circle [m]: 40 mm, less where the plane would leave a narrow window."""
+    sensor, standoff_m = conditions.sensor, conditions.standoff_m
+    way_m = min(standoff_m - sensor.near_m, sensor.far_m - standoff_m)
+    return min(RADIUS_M, WAY_SHARE * way_m / math.hypot(*TILT))
+
+
+def mounts(count: int, radius_m: float = RADIUS_M) -> NDArray[np.float64]:
+    """(count, 2) positions of the sensors on their circle [m]."""
     angle = 2 * np.pi * np.arange(count) / count
-    return np.asarray(RADIUS_M * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    return np.asarray(radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
-def bound_rad(count: int, sigma_m: float) -> float:
+def bound_rad(count: int, sigma_m: float, radius_m: float = RADIUS_M) -> float:
     """Cramér-Rao bound of the normal's angle (RMS) from one reading of each sensor [rad]."""
-    design = np.column_stack([np.ones(count), mounts(count)])
+    design = np.column_stack([np.ones(count), mounts(count, radius_m)])
     covariance = sigma_m**2 * np.linalg.inv(design.T @ design)
     a, b = TILT
     # slopes to the angle on the unit sphere, along and across the steepest line
@@ -56,18 +66,17 @@ def plane_trial(method: str, count: int, seed: int, conditions: Conditions) -> d
     dict
         `angle_rad`: RMS angle between its normal and the plane's [rad]; `ratio`: over the bound
     """
-    config = follower_config(conditions)
-    config["sensors"] = [
-        {**config["sensors"][0], "position_m": [float(x), float(y), 0.0]} for x, y in mounts(count)
-    ]
-    bound = bound_rad(count, conditions.sensor.sigma_m)
+    config, standoff_m = follower_config(conditions), conditions.standoff_m
+    places = mounts(count, radius_m(conditions))
+    config["sensors"] = [{**config["sensors"][0], "position_m": [float(x), float(y), 0.0]} for x, y in places]
+    bound = bound_rad(count, conditions.sensor.sigma_m, radius_m(conditions))
     if method.partition("=")[0] != "ours":
         return {"angle_rad": math.inf, "ratio": math.inf}
-    follower = importlib.import_module("surffollow").Follower(config=config, offset_m=STANDOFF_M)
+    follower = importlib.import_module("surffollow").Follower(config=config, offset_m=standoff_m)
     rng = np.random.default_rng([seed, 71])
     normal = np.array([-TILT[0], -TILT[1], 1.0]) / math.sqrt(1.0 + TILT[0] ** 2 + TILT[1] ** 2)
-    ranges = STANDOFF_M - mounts(count) @ np.array(TILT)
-    pose = np.array([0.0, 0.0, STANDOFF_M, 0.0, 0.0, 0.0, 1.0])
+    ranges = standoff_m - places @ np.array(TILT)
+    pose = np.array([0.0, 0.0, standoff_m, 0.0, 0.0, 0.0, 1.0])
     squares: list[float] = []
     for ms in range(SETTLE_MS + SCORED_MS):
         if ms % 10 == 0:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from surffollow.benchmark.baselines import run_jitted
-from surffollow.benchmark.conditions import STANDOFF_M
 from surffollow.benchmark.drive import drive
 from surffollow.benchmark.limit import limit_path
 from surffollow.benchmark.loop import World
@@ -112,7 +111,17 @@ def score_limit(scene: Scene) -> Score:
     plant = scene.conditions.plant
     rms_m, path, thinning = limit_path(desired, plant.v_max_mps, plant.a_max_mps2)
     ground = desired[::thinning]
-    s = score(path + STANDOFF_M, ground, path, 0, thinning, scene.speed_mps, lag=False)
+    standoff_m = scene.conditions.standoff_m
+    s = score(
+        path + standoff_m,
+        ground,
+        path,
+        0,
+        thinning,
+        scene.speed_mps,
+        lag=False,
+        standoff_m=standoff_m,
+    )
     return Score(
         rms_m=rms_m,
         p95_m=s.p95_m,

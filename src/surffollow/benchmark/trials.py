@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from surffollow.benchmark.cell_runs import in_parallel
-from surffollow.benchmark.conditions import STANDOFF_M, Conditions
+from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.drive import two_passes
 from surffollow.benchmark.dropouts import CASES, dropout_trial
 from surffollow.benchmark.limit import limit_path
@@ -91,7 +91,7 @@ def excursion(job: Job) -> dict[str, float]:
         s, w = run_method(job.method, scene)
         tick_ms = int(s["tick_ms"])
         first_tick = -(-scene.first_ms // tick_ms)
-        points.append((w.orders["setpoint"][: int(s["ticks"])] - STANDOFF_M, w.readings))
+        points.append((w.orders["setpoint"][: int(s["ticks"])] - scene.conditions.standoff_m, w.readings))
     away = np.abs(points[1][0] - points[0][0])
     off = np.abs(points[1][1]["range"] - points[0][1]["range"]) > OUTLIER_M
     ticks = -(-points[1][1]["arrival_ms"][off] // tick_ms)
@@ -145,7 +145,7 @@ def oscillation(job: Job) -> dict[str, float]:
     """Growth of the error: RMS of the last third of the path over that of the middle one, 50 µm added."""
     scene = scene_of(job.cell, job.seed)
     _, w = run_method(job.method, scene)
-    e = w.z - scene.ground_m - STANDOFF_M
+    e = w.z - scene.ground_m - scene.conditions.standoff_m
     third = len(e) // 3
     middle, last = (float(np.sqrt(np.mean(part * part))) for part in (e[third : 2 * third], e[2 * third :]))
     return {"growth": (last + 50e-6) / (middle + 50e-6)}

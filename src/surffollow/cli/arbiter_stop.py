@@ -6,7 +6,7 @@ import json
 
 import click
 
-from surffollow.cli.ending import end_process
+from surffollow.cli.ending import check_holder_is_here, end_process
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 
@@ -23,19 +23,13 @@ def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
     A killed one leaves its board and command blocks. The next start replaces them, and --purge removes them.
     """
     from surffollow.arbiter.name_owner import purge_arbiter, server_pid
-    from surffollow.config.trusted_users import trusted_owners
-    from surffollow.errors import NotRunningError, ServiceError
-    from surffollow.shm.name_lock import holder, lock_owner
+    from surffollow.errors import NotRunningError
 
-    lock = f"{name}.arbiter"
     pid, removed = server_pid(name), list[str]()
     if pid:
         end_process(pid, lambda: server_pid(name), f"arbiter {name!r}", timeout)
-    elif holder(lock) < 0 and lock_owner(lock) in trusted_owners():
-        raise ServiceError(
-            f"arbiter {name!r} runs as a process that has no number here: in another pid namespace (a "
-            "container), or of a user whose lock this one may not read; stop it there"
-        )
+    else:
+        check_holder_is_here(f"{name}.arbiter", f"arbiter {name!r}")
     if purge:
         removed = purge_arbiter(name)
     if not pid and not removed:

@@ -63,7 +63,7 @@ def _flat(values: tuple[Any, ...]) -> list[Any]:
 @click.option(
     "--surface", "csvs", multiple=True, metavar="CSV", help="Profile with columns x_m,height_m, or a name."
 )
-@click.option("--plant", metavar="TOML", help="Plant, [pose] and [sensor] other than the default.")
+@click.option("--plant", metavar="TOML", help="Plant, stand-off, [pose], [sensor] of your own.")
 @click.option("--speed", type=SPEED, multiple=True, help="Lateral speeds [m/s, or 100mm/s].")
 @click.option(
     "--lead", type=LENGTH, multiple=True, help="Leads of the sensor [m, or 50mm]; never comparable."

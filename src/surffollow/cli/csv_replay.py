@@ -35,7 +35,8 @@ def replay_csv_log(
 
     if columns is None:
         raise UsageError(
-            f"{file} is a CSV log: say what its columns mean with --columns (see examples/columns/)"
+            f"{file} is a CSV log: say what its columns mean with --columns (see examples/columns in the "
+            "source distribution)"
         )
     meaning = load_columns(columns)
     log = read_csv(file, meaning).between(start, end)

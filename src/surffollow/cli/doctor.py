@@ -27,7 +27,8 @@ def doctor_command(as_json: bool, unit: str | None) -> None:
     Exit code 0 also where something is lacking: the service runs without it. The last line names what
     is lacking, with --json the list `lacking`.
 
-    With --unit: what systemd-analyze says of a unit file, where that is installed.
+    With --unit: what systemd-analyze says of a unit file, where that is installed. An example of a unit, and
+    the udev rule, are in the folder systemd of the installed package.
     """
     from surffollow.service.doctor import examine, machine
     from surffollow.service.doctor_unit import examine_unit

@@ -50,3 +50,41 @@ def ask_to_end(pid: int, running_pid: Callable[[], int]) -> None:
                 signal.pidfd_send_signal(process, signal.SIGTERM)
         finally:
             os.close(process)
+
+
+def check_holder_is_here(lock: str, what: str) -> None:
+    """Refuse to end what no process of this pid namespace holds, or what another user holds.
+
+    A process that was killed a moment ago still holds its name, and lets go soon.
+
+    Parameters
+    ----------
+    lock : str
+        name of the lock
+    what : str
+        what it is, for errors: "service 'surf'"
+
+    Raises
+    ------
+    ServiceError
+        it runs elsewhere, or belongs to root or the user of SURFFOLLOW_OWNER
+    NotRunningError
+        the name's lock file is a stranger's
+    """
+    from surffollow.config.trusted_users import trusted_owners
+    from surffollow.errors import NotRunningError, ServiceError
+    from surffollow.shm.name_lock import holder, lock_owner, settled_holder
+
+    if holder(lock) >= 0:
+        return
+    owner, me = lock_owner(lock), os.geteuid()
+    if me not in (owner, 0):
+        whose = f"belongs to another user ({owner})"
+        if owner in trusted_owners():
+            raise ServiceError(f"{what} {whose}; ask them or root")
+        raise NotRunningError(f"no {what} of this user is running; the lock file of that name {whose}")
+    if owner in trusted_owners() and settled_holder(lock) < 0:
+        raise ServiceError(
+            f"{what} runs as a process that has no number here: in another pid namespace (a container); stop "
+            "it there"
+        )

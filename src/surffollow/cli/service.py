@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from surffollow.cli.ending import end_process
+from surffollow.cli.ending import check_holder_is_here, end_process
 from surffollow.cli.entry import ended_at_once_by_interrupts
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
@@ -69,9 +69,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
     """End a service in good order; its map is kept for the next start unless --purge is given."""
-    from surffollow.config.trusted_users import trusted_owners
-    from surffollow.errors import NotRunningError, ServiceError
-    from surffollow.shm.name_lock import holder, lock_owner
+    from surffollow.errors import NotRunningError
 
     pid, purged = running_pid(name), False
     if pid:
@@ -80,12 +78,8 @@ def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
         purged = purge_leftovers(name)
         if not pid and not purged:
             raise NotRunningError(f"no service {name!r} runs and no map of that name is kept")
-    elif not pid and holder(name) < 0 and lock_owner(name) in trusted_owners():
-        raise ServiceError(
-            f"service {name!r} runs as a process that has no number here: in another pid namespace (a "
-            "container), or of a user whose lock this one may not read; stop it there"
-        )
     elif not pid:
+        check_holder_is_here(name, f"service {name!r}")
         raise NotRunningError(f"no service {name!r} is running")
     if as_json:
         import json

@@ -44,7 +44,11 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 )
 @click.option("--speed", callback=SPEED, default="50 mm/s", show_default=True, help="Along the path.")
 @click.option(
-    "--seconds", type=Finite(min=0.0), default=20.0, show_default=True, help="Of motion; 0: to its end."
+    "--seconds",
+    type=Finite(min=0.0),
+    default=20.0,
+    show_default=True,
+    help="Of motion; 0: to its end. The first 100 mm are not scored.",
 )
 @click.option("--surface", default="fy91", show_default=True, help="Ground; the service needs the same.")
 @click.option(
@@ -166,12 +170,16 @@ def _print_result(summary: dict[str, Any], as_json: bool) -> None:
         click.echo(json.dumps(summary))
         return
     for key, value in summary.items():
+        if key == "not_scored":
+            continue
         if key.endswith("_m") and key != "path_m" and value is not None:
             click.echo(f"{key[:-2]:24} {value * 1e3:10.3f} mm")
         elif key.endswith("_rad") and value is not None:
             click.echo(f"{key[:-4]:24} {math.degrees(value):10.3f} deg")
         else:
             click.echo(f"{key:24} {value if not isinstance(value, float) else round(value, 3)!s:>10}")
+    if summary["not_scored"]:
+        click.echo(f"note: {summary['not_scored']}")
 
 
 class _StopSignals:

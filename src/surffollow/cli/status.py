@@ -188,6 +188,9 @@ def render(s: dict[str, Any]) -> str:
     lines[7:7] = [
         f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}" for c in s["clients"]
     ]
+    if s["conversions_refused"]:
+        text = f"driver   {s['conversions']} conversions taken, {s['conversions_refused']} refused"
+        lines.insert(6, f"{text}, {s['conversions_skipped']} left out")
     pushers = [f"{c} by pid {p}" for c, p in enumerate(main.get("range_pid", ())) if p]
     if pushers or s["ranges"]:
         lines.insert(

@@ -28,7 +28,7 @@ def range_user(text: str) -> int:
     if text in ("", "any"):
         return ANY_USER if text else NO_OTHER_USER
     try:
-        return user_id(text)
+        return user_id(text, "give a user by number or name, 'any', or '' for no other user")
     except ConfigError as e:
         raise ConfigError(f"configuration key access.ranges: {e}") from None
 

@@ -77,7 +77,7 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     realtime: Realtime = Realtime()
     map: MapConfig = MapConfig()
     access: AccessConfig = AccessConfig()
-    limits: dict[str, dict[str, Any]] = {}
+    limits: dict[str, Any] = {}
     stop: StopConfig = StopConfig()
     driver: dict[str, Any] = {}
     follow: dict[str, Any] = {}
@@ -140,7 +140,9 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Service
     try:
         config = msgspec.convert(data, ServiceConfig)
     except msgspec.ValidationError as e:
-        raise ConfigError(f"{source}: {e}; see docs/reference/configuration.md") from None
+        raise ConfigError(
+            f"{source}: {e}; see docs/reference/configuration.md of the source distribution"
+        ) from None
     with naming_source(source, ConfigError):
         _check(config)
     return config

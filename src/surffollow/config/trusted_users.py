@@ -31,8 +31,18 @@ def own_user() -> int:
     return user
 
 
-def user_id(owner: int | str) -> int:
+_NAME_OWNER = f"name the service's user by number or name (owner=, --owner, {ENVIRONMENT})"
+
+
+def user_id(owner: int | str, remedy: str = _NAME_OWNER) -> int:
     """The number of a user who is given by number or name.
+
+    Parameters
+    ----------
+    owner : int or str
+        number or name
+    remedy : str
+        what to do about an unknown name, for the text of the error
 
     Raises
     ------
@@ -47,10 +57,7 @@ def user_id(owner: int | str) -> int:
     try:
         return pwd.getpwnam(owner).pw_uid
     except KeyError:
-        raise ConfigError(
-            f"there is no user {owner!r} on this machine; name the service's user by number or name "
-            f"(owner=, --owner, {ENVIRONMENT})"
-        ) from None
+        raise ConfigError(f"there is no user {owner!r} on this machine; {remedy}") from None
 
 
 def trusted_owners(owner: int | str | None = None) -> frozenset[int]:

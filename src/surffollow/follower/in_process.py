@@ -33,7 +33,9 @@ from surffollow.forecast.terrain.terrain_memory import new_memory, read_preview,
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import (
     CHANNELS,
+    CLOCK_SET,
     MODE_ADAPTIVE,
+    REFUSED,
     FollowState,
     Inputs,
     Output,
@@ -208,11 +210,14 @@ class Follower:
         if max(abs(x), abs(y), abs(z)) > MAX_POSITION_M:
             raise PoseError(f"pose {p.tolist()} lies beyond {MAX_POSITION_M:g} m")
         p[3:] /= norm
-        taken = bool(report_pose(self._state, self._stepped_ns, t, p))
-        if taken:
+        answer = int(report_pose(self._state, self._stepped_ns, t, p))
+        if answer == CLOCK_SET:
+            self._latest_ns = t
+            self._stamps.time.follow(t)
+        if answer != REFUSED:
             self._pose_intervals.check(t)
             self._stamps.note_pose(t)
-        return taken
+        return answer != REFUSED
 
     def step(self, t_ns: int, ranges_m: Sequence[float | None] | NDArray[Any]) -> NDArray[np.float64]:
         """Step once, with readings or without.

@@ -7,9 +7,8 @@ import math
 
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
-from surffollow.forecast.estimation import adaptation
 from surffollow.forecast.modes import orients
-from surffollow.forecast.plant import axis_model, controller_clock, plant_identification
+from surffollow.forecast.plant import axis_model, controller_clock, plant_identification, shadow_axes
 from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
 from surffollow.forecast.setpoint import preview_control, setpoint_blend, setpoint_limits, tested_setpoint
@@ -36,35 +35,29 @@ def distance_ahead(adaptive, sense, age_s):
 
 
 @jit_inlined
-def target_of_blend(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
-    """Blended setpoint [m], and whether a controller period begins.
+def target_of_blend(params, adaptive, pose_t_ns, ahead_m, standoff_m, due):
+    """Blended setpoint [m].
 
     The models are blended when a sample, a pose or a controller period is new. In between the blend
     continues at the rate that the models predict.
 
     Parameters
     ----------
-    params, adaptive, inputs : records of `Params`, `AdaptiveState` (updated), `Inputs`
+    params, adaptive : records of `Params`, `AdaptiveState` (updated)
     pose_t_ns : int64     timestamp of the newest pose
     ahead_m : float64     distance from `distance_ahead` [m]
     standoff_m : float64  desired height of the tool above the ground [m]
-
-    Returns
-    -------
-    float64 [m], bool
+    due : bool            a controller period begins
     """
-    blend, now_ns = adaptive.blend, adaptive.clock.now_ns
-    due = controller_clock.period_is_due(adaptive, inputs, now_ns)
+    blend = adaptive.blend
     if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
-        target = setpoint_blend.blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m, due)
-    else:
-        target = blend.setpoint_m + blend.rate_mps * (now_ns - blend.t_ns) * 1e-9
-    return target, due
+        return setpoint_blend.blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m)
+    return blend.setpoint_m + blend.rate_mps * (adaptive.clock.now_ns - blend.t_ns) * 1e-9
 
 
 @jit
 def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
-    """Preview control of the controller period that begins.
+    """Begin a controller period: record the setpoints of the models, plan with the ground ahead.
 
     Parameters
     ----------
@@ -73,7 +66,8 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     ahead_m : float64     distance from `distance_ahead` [m]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    motion, latch_ns = adaptive.kinematics, controller_clock.open_period(adaptive, inputs)
+    shadow_axes.record_setpoints(adaptive)
+    motion, latch_ns = adaptive.kinematics, controller_clock.begin_period(adaptive, inputs)
     since_pose_m = motion.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
     ahead_m += motion.speed_mps * ((latch_ns - adaptive.clock.now_ns) * 1e-9 - wait_s)
@@ -147,14 +141,14 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         setpoint_limits.release_setpoint(setpoint)
         return layout.NO_SENSOR | layout.SENSOR_LOST | close
     if setpoint.in_dryrun != 0 and params.run != layout.RUN_DRYRUN:  # setpoints of DRYRUN were not applied
-        setpoint_limits.mark_dryrun(setpoint, 0)
         setpoint_limits.release_setpoint(setpoint)
         attitude.release_attitude(adaptive.attitude)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     answered = controller_clock.observe_latch(controller, inputs, sense.pose_count, adaptive.clock.now_ns)
     age_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + controller_clock.mean_wait_s(params, controller)
     ahead = distance_ahead(adaptive, sense, age_s)
-    target, due = target_of_blend(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
+    due = controller_clock.period_is_due(adaptive, inputs, adaptive.clock.now_ns)
+    target = target_of_blend(params, adaptive, pose_t_ns, ahead, standoff_m, due)
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
     target = target_of_preview(params, adaptive, target, standoff_m)
@@ -177,13 +171,30 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         attitude.demand_rotation(params, adaptive, sense, output)
     applied_m = limited if params.run == layout.RUN_NORMAL else 0.0
     plant_identification.record_own_setpoint(adaptive, answered, tool_z + applied_m)
-    if params.run == layout.RUN_DRYRUN:
-        setpoint_limits.mark_dryrun(setpoint, 1)
-    elif params.run == layout.RUN_FREEZE:
+    setpoint_limits.mark_dryrun(setpoint, 1 if params.run == layout.RUN_DRYRUN else 0)
+    if params.run == layout.RUN_FREEZE:
         setpoint_limits.release_setpoint(setpoint)  # no demand is applied
     output.delta_h_m = estimate.slope * max(ahead, 0.0)
     output.error_m = params.offset_m - adaptive.hold.range_m
     return status
+
+
+@jit
+def publish_adaptation(params, adaptive, output):
+    """Publish latency, Permitted_Variance, Interval_Size and Range_Size in force.
+
+    A mean over n samples has the variance of a filter with gain 2 / (n + 1).
+    """
+    sample, estimate = adaptive.sample, adaptive.estimate
+    output.latency_s = params.sensor_latency_ns * 1e-9 + adaptive.latency.correction_s
+    output.permitted_variance_m = setpoint_blend.permitted_variance_m(params, adaptive)
+    if estimate.samples == 0:
+        output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
+        return
+    samples = 2.0 / min(max(estimate.gain, 1e-4), 1.0) - 1.0  # a bound on what is published
+    interval = max(min(params.interval_size_m, samples * sample.spacing_m), sample.spacing_m, 1e-6)
+    output.interval_size_m = interval
+    output.range_size = min(max(int(samples * sample.spacing_m / interval + 0.5), 1), layout.INTERVALS // 2)
 
 
 @jit_inlined
@@ -191,7 +202,7 @@ def publish_estimate(params, adaptive, output):
     """Publish estimate, health and adapted parameters."""
     motion, found, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
     noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m
-    adaptation.publish_adaptation(params, adaptive, output)
+    publish_adaptation(params, adaptive, output)
     output.height_m, output.speed_mps = estimate.height_m, motion.speed_mps
     # a slope along the path needs a direction of travel
     output.slope = 0.0 if kinematics.is_at_rest(motion) else estimate.slope

@@ -5,9 +5,10 @@ A pose is seven numbers, x y z [m] and a unit quaternion qx qy qz qw.
 
 import math
 
-from surffollow.forecast.sensing.clock import clock_jump_ns
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, LONG_GAP_NS, MAX_GAP_NS
+from surffollow.forecast.sensing.clock import inputs_ns
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_follow import POSES
+from surffollow.shm.layout_follow import CLOCK_SET, POSES, REFUSED, TAKEN
 
 
 @jit_inlined
@@ -99,22 +100,55 @@ def push_pose(sense, t_ns, pose, at):
 
 
 @jit
+def is_set_back(sense, t_ns, gap_ns):
+    """Whether a refused report is one of several in a row from a clock that was set back.
+
+    Their timestamps rise among themselves, for longer than a gap, and have that far to go at least. Reports
+    that were overtaken do not.
+
+    Parameters
+    ----------
+    sense : record of `SenseState`  updated
+    t_ns : int64                    timestamp of the report, not newer than the newest one
+    gap_ns : int64                  longest gap that is no drop-out [ns]
+    """
+    if sense.back_count == 0 or t_ns <= sense.back_newest_ns:
+        sense.back_count, sense.back_first_ns = 0, t_ns
+    sense.back_newest_ns = t_ns
+    sense.back_count += 1
+    lasts = sense.back_count >= CONFIRMATION_SAMPLES and t_ns - sense.back_first_ns > gap_ns
+    return lasts and sense.pose_t_ns[newest_pose(sense)] - t_ns > gap_ns
+
+
+@jit
 def report_pose(state, step_ns, t_ns, pose):
-    """Append a pose report to the history; 0: refused, it is not newer than the last.
+    """Append a pose report to the history.
 
     Parameters
     ----------
     state : (1,) records of `FollowState`
     step_ns, t_ns : int64     time of the latest step; when the pose was true
     pose : (7,) float64       x y z [m], unit quaternion qx qy qz qw
+
+    Returns
+    -------
+    int64
+        REFUSED: it is not newer than the last; TAKEN; CLOCK_SET: taken, and it begins the history anew,
+        because the clock was set back, or the newest report had a wrong timestamp
     """
-    sense = state[0].sense
-    if sense.pose_count > 0:
+    sense, begun = state[0].sense, False
+    if sense.pose_count > 0 and t_ns <= sense.pose_t_ns[newest_pose(sense)]:
         newest = sense.pose_t_ns[newest_pose(sense)]
-        jump_ns = clock_jump_ns(state[0].scaled)
-        if t_ns <= newest - jump_ns and newest > max(t_ns, step_ns) + jump_ns:
-            sense.pose_count = 0  # else a single wrong stamp would refuse every report for ever
-    return push_pose(sense, t_ns, pose, 0)
+        jump_ns = inputs_ns(state[0].scaled, LONG_GAP_NS)
+        begun = is_set_back(sense, t_ns, inputs_ns(state[0].scaled, MAX_GAP_NS))
+        begun = begun or (t_ns <= newest - jump_ns and newest > max(t_ns, step_ns) + jump_ns)
+        if not begun:
+            sense.poses_refused += 1
+            return REFUSED
+        sense.pose_count = 0
+    sense.back_count = 0
+    push_pose(sense, t_ns, pose, 0)
+    return CLOCK_SET if begun else TAKEN
 
 
 @jit_inlined

@@ -42,8 +42,17 @@ def begin_anew(state, fault):
 
 
 @jit
-def reset_surface(adaptive):
-    """SFReset: initialise with the next sample; noise, model weights, plant and terrain stay."""
+def forget_surface(state):
+    """SFReset: begin both modes with the next sample.
+
+    Measurements, the fold-back latch, noise, model weights, plant and terrain stay.
+
+    Parameters
+    ----------
+    state : (1,) record of `FollowState` (updated)
+    """
+    clear_record(state, PAPER)
+    adaptive = state[0].adaptive
     discard_estimate(adaptive.estimate)
     adaptive.estimate.confirmed_ns = 0  # the loss time-out counts from the next sample
     reset_response(adaptive.response)
@@ -53,18 +62,6 @@ def reset_surface(adaptive):
     release_setpoint(adaptive.setpoint)
     withdraw_preview(adaptive.preview)
     adaptive.health.faults = 0
-
-
-@jit
-def forget_surface(state):
-    """Begin both modes with the next sample; measurements, the fold-back latch, noise and plant stay.
-
-    Parameters
-    ----------
-    state : (1,) record of `FollowState` (updated)
-    """
-    clear_record(state, PAPER)
-    reset_surface(state[0].adaptive)
 
 
 @jit

@@ -79,7 +79,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 /* ---- layout: generated ------------------------------------------------------------ */
 
 #define SF_LAYOUT_VERSION 3u
-#define SF_LAYOUT_HASH UINT64_C(2394532380101596385)
+#define SF_LAYOUT_HASH UINT64_C(2608115149988659993)
 #define SF_BOARD_MAGIC INT64_C(3550052850875913555)
 #define SF_SLOT_MAGIC UINT64_C(3554549926447961427)
 #define SF_MAP_MAGIC UINT64_C(3553411906143409491)
@@ -672,8 +672,9 @@ typedef struct sf_stats {
   int64_t ranges; /* ranges that clients pushed and that were taken */
   int64_t ranges_refused; /* pushed for a channel not held, with a time that cannot be, or no item at all */
   int64_t ranges_skipped; /* pushed faster than the service takes them; the oldest are left out */
+  int64_t conversions_refused; /* of a channel that the driver does not have, or of a time far from now */
 } sf_stats;
-SF_STATIC_ASSERT(sizeof(sf_stats) == 8320, "layout of sf_stats");
+SF_STATIC_ASSERT(sizeof(sf_stats) == 8328, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, cycles) == 0, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, overruns) == 8, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, skipped) == 16, "layout of sf_stats");
@@ -692,6 +693,7 @@ SF_STATIC_ASSERT(offsetof(sf_stats, samples) == 8288, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, ranges) == 8296, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, ranges_refused) == 8304, "layout of sf_stats");
 SF_STATIC_ASSERT(offsetof(sf_stats, ranges_skipped) == 8312, "layout of sf_stats");
+SF_STATIC_ASSERT(offsetof(sf_stats, conversions_refused) == 8320, "layout of sf_stats");
 
 /* A requested change, or a stop by the service itself; `audit` holds a stream of them. */
 typedef struct sf_audit_entry {

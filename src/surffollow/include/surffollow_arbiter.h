@@ -560,7 +560,7 @@ static inline int sfa_i_greet(sfa_client *a, const char *client, int fds[2]) {
   memset(&control, 0, sizeof control);
   hello.magic = SFA_HELLO_MAGIC;
   hello.layout_hash = SFA_LAYOUT_HASH;
-  strncpy(hello.name, client, sizeof hello.name - 1);
+  memcpy(hello.name, client, strnlen(client, sizeof hello.name - 1));
   (void)!send(a->sock, &hello, sizeof hello, MSG_NOSIGNAL); /* it may have refused already: its answer decides */
   part.iov_base = &answer;
   part.iov_len = sizeof answer;

@@ -121,7 +121,9 @@ def parse_columns(data: dict[str, Any], source: str = "column file") -> Columns:
     try:
         columns = msgspec.convert(data, Columns)
     except msgspec.ValidationError as e:
-        raise UsageError(f"{source}: {e}; see docs/reference/csv-logs.md for the keys") from None
+        raise UsageError(
+            f"{source}: {e}; see docs/reference/csv-logs.md of the source distribution for the keys"
+        ) from None
     checks: list[tuple[str, Any, str]] = [
         ("time", columns.time, "s"),
         ("range", columns.range, "m"),

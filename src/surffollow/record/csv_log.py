@@ -36,6 +36,7 @@ class CsvLog:
     since_s : (n,) float64      time since the first row [s] by the digits as written: a clock's origin takes
                                 none of a float64's; None: `t_s` less its first
     lines : (n,) int64          line of each row in the file; None: not known
+    written : (n,) float64      the range as written, in its column's unit; None: not known
     """
 
     t_s: NDArray[np.float64]
@@ -44,6 +45,7 @@ class CsvLog:
     reference_m: NDArray[np.float64] | None
     since_s: NDArray[np.float64] | None = None
     lines: NDArray[np.int64] | None = None
+    written: NDArray[np.float64] | None = None
 
     def elapsed_s(self) -> NDArray[np.float64]:
         """Time since the first row [s], (n,)."""
@@ -69,7 +71,8 @@ class CsvLog:
         reference = None if self.reference_m is None else self.reference_m[keep]
         since = None if self.since_s is None else self.since_s[keep]
         lines = None if self.lines is None else self.lines[keep]
-        return CsvLog(self.t_s[keep], self.range_m[keep], self.pose[keep], reference, since, lines)
+        written = None if self.written is None else self.written[keep]
+        return CsvLog(self.t_s[keep], self.range_m[keep], self.pose[keep], reference, since, lines, written)
 
 
 def read_csv(path: str | Path, columns: Columns) -> CsvLog:
@@ -100,7 +103,8 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
         reference = cells[columns.reference.column] * unit_scale(columns.reference.unit, "m")
     since_s = _since(times, unit_scale(columns.time.unit, "s"))
     poses, at = _poses(columns, cells, t_s.size), np.array(lines, np.int64)
-    return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, at)
+    written = cells[columns.range.column]
+    return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, at, written)
 
 
 def _text(path: str | Path) -> str:

@@ -19,7 +19,7 @@ from surffollow.record.columns import Columns
 from surffollow.record.csv_log import CsvLog
 from surffollow.record.csv_points import target_points
 from surffollow.record.table import write_csv
-from surffollow.units import parse_quantity
+from surffollow.units import parse_quantity, unit_scale
 
 ROWS_PER_REPORT = 4096  # of the progress
 ROW_HEADER = ("t_s", "range_m", "target_x_m", "target_y_m", "target_z_m", "height_m", "slope", "reference_m")
@@ -77,6 +77,27 @@ def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
     return Follower(config, offset_m=offset_m)
 
 
+def _no_reading(log: CsvLog, columns: Columns) -> str:
+    """Why no row has a reading."""
+    rows, given = log.t_s.size, columns.range
+    if not rows:
+        return "no row lies between --start and --end; check them, and that the log has rows"
+    written = np.zeros(0) if log.written is None else log.written
+    some = written[~np.isnan(written) & ~np.isin(written, given.no_reading)]
+    if not some.size:
+        return (
+            f"none of the {rows} rows has a reading: column {given.column!r} is empty or no_reading in all; "
+            "check [range] column and no_reading, and --start and --end"
+        )
+    value_m = float(some[0]) * unit_scale(given.unit, "m")
+    low_m, high_m = columns.limits_m
+    return (
+        f"none of the {rows} rows has a reading from min {low_m:g} to max {high_m:g} m: the first value of "
+        f"column {given.column!r} is {some[0]:g} {given.unit}, which is {value_m:g} m; check [range] unit, "
+        "min and max"
+    )
+
+
 def run_csv(
     log: CsvLog,
     columns: Columns,
@@ -96,9 +117,7 @@ def run_csv(
     UsageError  no row has a reading
     """
     if not np.isfinite(log.range_m).any():
-        raise UsageError(
-            f"none of the {log.t_s.size} rows has a reading; check --start, --end and the limits"
-        )
+        raise UsageError(_no_reading(log, columns))
     follower = make_follower(columns, log, mode)
     horizons = columns.horizons_s
     n = log.t_s.size

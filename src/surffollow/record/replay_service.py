@@ -26,7 +26,7 @@ from surffollow.shm.cycle_log import log_copy
 from surffollow.shm.journal import CYCLE, CYCLE_HEAD, entry_kind, entry_words
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.objects import SHM_ROOT, unlink
-from surffollow.shm.python_child import module_command
+from surffollow.shm.python_child import bound_command
 
 READY_S = 120.0
 LEAD_NS = 3_000_000_000
@@ -76,7 +76,7 @@ def write_inputs(p: RecordedInputs, folder: Path, period_ns: int) -> Path:
 def running_service(config: Path, name: str) -> Iterator[subprocess.Popen[str]]:
     """A service process of our own, from READY to its end; it leaves nothing behind that was not there."""
     had_map = (SHM_ROOT / f"{name}.map").exists()
-    command = module_command("surffollow", "start", "--name", name, "--config", str(config), "--quiet")
+    command = bound_command("start", "--name", name, "--config", str(config), "--quiet")
     with open(config.with_name("service.err"), "w+") as errors:
         child = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True

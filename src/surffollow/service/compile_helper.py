@@ -10,12 +10,10 @@ the service.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import fcntl
 import gc
 import hashlib
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -35,13 +33,12 @@ from surffollow.shm.cache_directory import cache_directory
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.kernel import types_of
 from surffollow.shm.kernel_cache import compiled_for
-from surffollow.shm.python_child import module_command
+from surffollow.shm.python_child import end_with_parent, module_command
 from surffollow.shm.readable import wait_readable
 from surffollow.shm.source_stamp import source_stamp
 
 PATIENCE_S = 120.0  # after the service's own part: a helper that takes longer is stopped or stuck
 LOOK_S = 0.1
-_PR_SET_PDEATHSIG = 1
 
 
 def _marker() -> Path:
@@ -141,9 +138,7 @@ def compile_share() -> None:
 
 def main(parent: int, with_sensors: bool = False) -> None:
     """The helper: ends with its parent, for any cause. One compiles at a time, the others load."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it died before the line above
-        return
+    end_with_parent(parent)
     gc.disable()  # a process that ends in 20 s: a tenth less time, and memory that it gives back at its end
     with open(Path(cache_directory(), ".compile_helper"), "a") as lock_file:
         with contextlib.suppress(OSError):

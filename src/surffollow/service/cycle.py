@@ -8,6 +8,7 @@ from surffollow.forecast.step import follow_step
 from surffollow.hw.driver import REPORT_WORDS
 from surffollow.service import memory as m
 from surffollow.service.answers import count
+from surffollow.service.conversion_watch import drain_conversions
 from surffollow.service.map_preview import fill_preview
 from surffollow.service.range_inputs import any_held, drain_ranges
 from surffollow.service.requests import process_requests
@@ -17,21 +18,17 @@ from surffollow.service.window_watch import watch_window
 from surffollow.shm import atomics as at
 from surffollow.shm import journal
 from surffollow.shm.clock import now_ns, wait_until_ns
-from surffollow.shm.conversion import ITEM_WORDS
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_board import HISTOGRAM_BINS, Stats
-from surffollow.shm.layout_follow import MAX_CONVERSIONS, Output
-from surffollow.shm.ring import ITEMS as RING_ITEMS
-from surffollow.shm.ring import ring_drop, ring_length, ring_push
+from surffollow.shm.layout_follow import Output
+from surffollow.shm.ring import ring_push
 
 _OUTPUT_BYTES = Output.SIZE
 _CYCLES = Stats.offset("cycles")
 _OVERRUNS = Stats.offset("overruns")
 _SKIPPED = Stats.offset("skipped")
-_CONVERSIONS = Stats.offset("conversions")
-_CONVERSIONS_SKIPPED = Stats.offset("conversions_skipped")
 _POSES = Stats.offset("poses")
 _POSES_REFUSED = Stats.offset("poses_refused")
 _TORN = Stats.offset("torn")
@@ -40,7 +37,6 @@ _LATENESS_MAX = Stats.offset("lateness_max_ns")
 _EXECUTION = Stats.offset("execution")
 _EXECUTION_MAX = Stats.offset("execution_max_ns")
 _SAMPLES = Stats.offset("samples")
-_DT_LIMIT_NS = (1 << 31) - 1
 
 
 @jit
@@ -67,30 +63,6 @@ def count_duration(stats: Any, histogram: Any, longest: Any, t_ns: Any) -> None:
     count(stats, histogram + 8 * histogram_bin(t_ns), 1)
     if t_ns > at.load_relaxed_i64(stats + longest):
         at.store_relaxed_i64(stats + longest, t_ns)
-
-
-@jit
-def drain_conversions(mem: Any, t_ns: Any) -> None:
-    """Take the conversions finished since the last cycle; the oldest beyond MAX_CONVERSIONS are skipped."""
-    ctx, inputs = mem.ctx, mem.inputs[0]
-    ring, capacity, stats = ctx[m.CONVERSIONS], ctx[m.CONVERSIONS_CAPACITY], ctx[m.STATS]
-    waiting = ring_length(ring)
-    if waiting > MAX_CONVERSIONS:
-        ring_drop(ring, waiting - MAX_CONVERSIONS)
-        count(stats, _CONVERSIONS_SKIPPED, waiting - MAX_CONVERSIONS)
-        waiting = MAX_CONVERSIONS
-    tail = at.load_relaxed_i64(ring + 64)
-    n = 0
-    for k in range(waiting):
-        slot = ring + RING_ITEMS + ((tail + k) & (capacity - 1)) * ITEM_WORDS * 8
-        dt_ns = at.load_relaxed_i64(slot) - t_ns
-        if -_DT_LIMIT_NS < dt_ns < _DT_LIMIT_NS:
-            word = at.load_relaxed_i64(slot + 8) & 0xFFFFFFFF
-            inputs.conversion[n] = (dt_ns << 32) | word
-            n += 1
-    ring_drop(ring, waiting)
-    inputs.n_conversions = n
-    count(stats, _CONVERSIONS, n)
 
 
 @jit

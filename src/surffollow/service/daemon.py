@@ -137,6 +137,7 @@ class Daemon:
             self._require_realtime(realtime.FIFO | realtime.AFFINITY | realtime.MLOCKALL)
             for note in self._mounts.notes():
                 self.messages.report(note)
+            self._heartbeat.publish()  # whoever sees READY sees the grants
             self.objects.set_state(lb.STATE_READY)
             sd_notify(f"READY=1\nSTATUS=cycle {self.mem.ctx[m.PERIOD_NS] / 1e6:g} ms")
             if on_ready is not None:

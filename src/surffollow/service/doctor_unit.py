@@ -11,6 +11,7 @@ from surffollow.errors import UsageError
 from surffollow.service.doctor_finding import FAIR, GOOD, LACKING, UNKNOWN, Finding
 
 EXPOSURE_GOOD, EXPOSURE_FAIR = 3.0, 5.0  # of 10, as `systemd-analyze security` counts
+SYSTEMD = Path(__file__).parents[1] / "systemd"  # examples, installed with the package
 _LIMIT_S = 60.0
 _NOT_EXECUTABLE = re.compile(r"^.*Command .* is not executable: .*$\n?", re.MULTILINE)
 
@@ -33,7 +34,9 @@ def examine_unit(unit: Path) -> list[Finding]:
     UsageError  there is no such file
     """
     if not unit.is_file():
-        raise UsageError(f"there is no unit file {unit}; the example is examples/systemd/surffollow.service")
+        raise UsageError(
+            f"there is no unit file {unit}; an example to copy is {SYSTEMD / 'surffollow.service'}"
+        )
     valid_why = "systemd ignores what it does not understand, with a line in its journal"
     shut_why = "a fault in the service must not reach what it does not need"
     if shutil.which("systemd-analyze") is None:

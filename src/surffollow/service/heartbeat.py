@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from surffollow.service import memory as m
 from surffollow.service.audit import AuditTrail
+from surffollow.service.conversion_watch import conversion_notes
 from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.housekeeping import Guard
 from surffollow.service.messages import Messages
@@ -81,7 +82,8 @@ class Heartbeat:
         causes = STOP_DRIVER if driver_faults else 0
         store_release(self._ctx.ctypes.data + 8 * m.STOP_ASKED, causes)
         self.guard.run("the audit trail", self._audit.publish, None)
-        notes = [*self._watch.notes(), *window_notes(self._ctx), *self._mounts.notes()]
+        notes = [*self._watch.notes(), *conversion_notes(self._ctx), *window_notes(self._ctx)]
+        notes += self._mounts.notes()
         texts = [*driver_faults, *notes, *self._grants.refused, *self.guard.texts()]
         if self._server.failures:
             faults |= FAULT_SLOTS

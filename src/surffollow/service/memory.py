@@ -83,7 +83,10 @@ STOP_SEEN = RANGE_SEEN + CLIENTS  # per slot, its stop word at the last look; 0 
 OUTSIDE = STOP_SEEN + CLIENTS
 OUTSIDE_UM = OUTSIDE + CHANNELS
 WINDOW_UM = OUTSIDE_UM + CHANNELS  # its two ends
-CTX_WORDS = WINDOW_UM + 2
+# cycle → main: the newest conversion lay far from now (cycles in a row, when it did last, by how much), and
+# the last one of a channel that does not exist (when, channels << 8 | channel); times [ns], 0: never
+OFF_RUN, OFF_SEEN_NS, OFF_BY_NS, WRONG_CHANNEL_NS, WRONG_CHANNEL = range(WINDOW_UM + 2, WINDOW_UM + 7)
+CTX_WORDS = WINDOW_UM + 7
 
 BY_ANY, BY_HOLDER, BY_HOLDER_ONLY = 0, 1, 2
 

@@ -6,8 +6,8 @@ No NumPy here: `surffollow stop` of a client-only installation imports this.
 from __future__ import annotations
 
 from surffollow.errors import AlreadyRunningError
-from surffollow.service.stale_objects import clear_stale
-from surffollow.shm.name_lock import NameLock, holder
+from surffollow.service.stale_objects import clear_stale, is_block
+from surffollow.shm.name_lock import NameLock, holder, settled_holder
 from surffollow.shm.objects import unlink
 
 
@@ -19,11 +19,18 @@ def take_name(name: str) -> NameLock:
     AlreadyRunningError, NoPermissionError, BlockError, NoSpaceError
     """
     lock = NameLock.take(name)
+    if lock is None and settled_holder(name) <= 0:
+        lock = NameLock.take(name)  # a killed one has let go meanwhile
     if lock is None:
         pid = holder(name)
         who, how = f"pid {pid}", f"stop it with `surffollow stop --name {name}`"
         if pid <= 0:
             who, how = "in another pid namespace, a container perhaps", "stop it there"
+        if is_block(name):
+            raise AlreadyRunningError(
+                f"{name!r} is a block of a program ({who}), no service; start this one under another name "
+                "(--name), or end that program by its own means (surffollow blocks ls)"
+            )
         raise AlreadyRunningError(
             f"service {name!r} runs already ({who}); {how}, or start this one under another name (--name)"
         )

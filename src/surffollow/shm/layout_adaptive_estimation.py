@@ -46,7 +46,6 @@ class Pending(Schema):
 class Gate(Schema):
     """Innovation gate and steps (`innovation_gate`)."""
 
-    decision = I64(doc="on the newest sample: 0 withheld, 1 pending, 2 accepted, 3 step, 4 restart")
     scale_m = F64(unit="m", doc="usual innovation of the blend")
     width_m = F64(unit="m", doc="width of the gate for the newest sample")
     steepest_rise_m = F64(unit="m", doc="greatest rise of the ground up to the newest sample")
@@ -54,7 +53,7 @@ class Gate(Schema):
     withheld_m = F64(unit="m", doc="innovation of a nearer sample that waits for a second one; 0: none")
     nearer = I64(doc="1: the newest sample was nearer than the models follow; so may the next one be")
     slot_likelihood = F64(
-        doc="likelihood that a hollow is a slot: 1 not known, toward 0 by steps that stayed"
+        doc="likelihood that a hollow is a slot: 1 not known, less by steps that stayed; 0: no estimate yet"
     )
     travel_since_step_m = F64(unit="m", doc="distance travelled since the last confirmed step")
     step_m = F64(unit="m", doc="height of that step; 0: none")

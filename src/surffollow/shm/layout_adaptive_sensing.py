@@ -11,6 +11,7 @@ class Clock(Schema):
     """Time of the follower (`clock`)."""
 
     now_ns = I64(unit="ns", doc="latest timestamp of steps and poses")
+    pose_ns = I64(unit="ns", doc="timestamp of the newest pose in the cycle before")
 
 
 class Kinematics(Schema):
@@ -126,9 +127,10 @@ class Response(Schema):
     ceiling_z_m = F64(unit="m", doc="greatest setpoint in a lift, and of a sensor that did not respond")
     test_ns = I64(unit="ns", doc="when phase or shift began")
     swing_m = F64(unit="m", doc="half the spread of the ranges in a descent that is tested; 0: another test")
-    settled_ns = I64(unit="ns", doc="the tool is back from a test; before, no run begins")
+    settled_ns = I64(
+        unit="ns", doc="the tool is back from a test or shift; before, no sign of a fault counts"
+    )
     returned_ns = I64(unit="ns", doc="the error of a test is gone; before, none is a sign for a hold")
-    unshifted_ns = I64(unit="ns", doc="the tool is back from a shift; before, there is no sign of a fault")
 
 
 class Repeats(Schema):
@@ -138,7 +140,6 @@ class Repeats(Schema):
     range_m = F64(unit="m", doc="the first of them")
     tool_z_m = F64(unit="m", doc="height of the tool then")
     usual = F64(doc="longest such run lately")
-    ended = I64(doc="1: the newest range differs from one that was repeated far more often than usual")
     unused = I64(doc="1: the newest range repeats although the tool has moved, and is not used")
 
 

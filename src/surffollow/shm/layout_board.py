@@ -188,6 +188,7 @@ class Stats(Schema):
     ranges = I64(doc="ranges that clients pushed and that were taken")
     ranges_refused = I64(doc="pushed for a channel not held, with a time that cannot be, or no item at all")
     ranges_skipped = I64(doc="pushed faster than the service takes them; the oldest are left out")
+    conversions_refused = I64(doc="of a channel that the driver does not have, or of a time far from now")
 
 
 class AuditEntry(Schema):

@@ -22,6 +22,8 @@ MAX_POSES = 4  # new poses taken per cycle
 
 MODE_PAPER, MODE_ADAPTIVE = 0, 1
 RUN_NORMAL, RUN_DRYRUN, RUN_FREEZE = 0, 1, 2
+# answers to a pose report: not newer than the last; taken; taken from a clock that was set
+REFUSED, TAKEN, CLOCK_SET = 0, 1, 2
 
 # Output.status bits
 VALID = 1 << 0  # the demand may be applied
@@ -143,6 +145,9 @@ class SenseState(Schema):
     pose = F64(POSES * 7, unit="m, 1", doc="ring of x y z qx qy qz qw, world from tool")
     pose_count = I64(doc="poses ever accepted")
     poses_refused = I64(doc="poses not newer than the last one")
+    back_count = I64(doc="refused ones in a row whose timestamps rise among themselves")
+    back_first_ns = I64(unit="ns", doc="timestamp of the first of them")
+    back_newest_ns = I64(unit="ns", doc="timestamp of the newest of them")
 
 
 class PaperState(Schema):

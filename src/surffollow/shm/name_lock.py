@@ -22,6 +22,7 @@ from surffollow.shm.refused_files import REFUSALS, refused_file
 ENDING = ".lock"
 _BYTE = 0
 _POLL_S = 0.005
+DYING_S = 2.0  # the kernel takes a killed process apart, its locked memory first and its locks late
 
 
 class NameLock:
@@ -178,3 +179,17 @@ def holder(name: str) -> int:
         return -1
     finally:
         os.close(fd)
+
+
+def settled_holder(name: str, timeout_s: float = DYING_S) -> int:
+    """As `holder`, after another look at -1: a killed process holds its lock longer than it can be seen.
+
+    Parameters
+    ----------
+    name : str
+    timeout_s : float [s]  longest wait for the end of such a process
+    """
+    deadline = time.monotonic() + timeout_s
+    while (pid := holder(name)) < 0 and time.monotonic() <= deadline:
+        time.sleep(_POLL_S)
+    return pid

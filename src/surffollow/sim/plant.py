@@ -46,7 +46,7 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _UNITS = {"_mps2": "m/s^2", "_mps": "m/s", "_hz": "Hz", "_m": "m", "_s": "s"}
-_SHARED_TABLES = ("pose", "sensor")
+_OF_THE_BENCHMARK = ("pose", "sensor", "standoff", "standoff_m")
 
 
 def _ending(name: str) -> str:
@@ -100,8 +100,8 @@ def read_tables(path: str | Path) -> dict[str, Any]:
 def load_plant(path: str | Path) -> PlantConfig:
     """Read a `PlantConfig` from a TOML file; its keys are the fields, at top level or under [plant].
 
-    Tables [pose] and [sensor] belong to the benchmark (`surffollow.benchmark.conditions`) and are
-    passed over.
+    Tables [pose] and [sensor] and the key `standoff` belong to the benchmark
+    (`surffollow.benchmark.conditions`) and are passed over.
 
     Values are SI numbers or text with a unit (`tau = "40 ms"`).
 
@@ -110,9 +110,14 @@ def load_plant(path: str | Path) -> PlantConfig:
     ConfigError
         when the file cannot be read, is not TOML, or has an unknown key or a value out of range
     """
-    table = read_tables(path)
-    axis = {k: v for k, v in table.items() if k not in ("plant", *_SHARED_TABLES)} | table.get("plant", {})
+    axis = {k: v for k, v in plant_keys(read_tables(path)).items() if k not in _OF_THE_BENCHMARK}
     return from_table(axis, PlantConfig, f"plant '{path}'")
+
+
+def plant_keys(table: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys at the top level and under [plant] of a plant file."""
+    own: dict[str, Any] = table.get("plant", {})
+    return {k: v for k, v in table.items() if k != "plant"} | own
 
 
 @jit

@@ -17,6 +17,7 @@ from surffollow.shm.dtypes import zeros
 from surffollow.sim.commanded_robot import SETTLED_M, SETTLED_TICKS, CommandedRobot
 from surffollow.sim.plant import setpoint_for
 from surffollow.sim.pose_reports import PoseReports
+from surffollow.sim.raster import KINDS
 from surffollow.sim.robot_config import APPROACH_M, RobotConfig, make_path
 from surffollow.sim.robot_motion import MIN_SPEED_MPS, TRACE_COLUMNS, Motion, run_until
 from surffollow.sim.robot_turn import turned
@@ -196,7 +197,7 @@ class RobotCore(CommandedRobot):
         self.motion["moving"] = 0
 
     def summary(self) -> dict[str, Any]:
-        """Score of the run: stand-off errors [m] (None when nothing was scored), path and time."""
+        """Score of the run: stand-off errors [m] (None when nothing was scored; why), path and time."""
         m = self.motion[0]
 
         def rms(sum_sq: float, n: int) -> float | None:
@@ -217,7 +218,18 @@ class RobotCore(CommandedRobot):
             "standoff_peak_rolling_m": float(m["peak_rolling_m"]) if n_rolling else None,
             "n": n,
             "n_rolling": n_rolling,
+            "not_scored": self._not_scored(n, n_rolling),
             "path_m": float(m["path_m"]),
             "moving_s": (self.t_ns - self.started_ns) * 1e-9 if self.started_ns else 0.0,
             "frozen_s": float(m["frozen_ns"]) * 1e-9,
         }
+
+    def _not_scored(self, n: int, n_rolling: int) -> str | None:
+        """Why a figure of the summary is none; None when all are numbers."""
+        if n:
+            return None if n_rolling else "no scored part of the path lay over rolling ground"
+        c = self.config
+        begin = f"scoring begins {1e3 * c.unscored_m:g} mm along the path"
+        if c.path in KINDS:
+            begin += f", here after {c.unscored_s:.1f} s of motion (--seconds)"
+        return f"nothing was scored: {begin}"

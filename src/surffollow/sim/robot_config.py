@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 
 from surffollow.errors import ConfigError
@@ -78,6 +80,12 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ConfigError(f"robot {name} = {value}, expected {low} to {high}")
+
+    @property
+    def unscored_s(self) -> float:
+        """Time that a line or a raster from rest takes to the end of its unscored piece [s]."""
+        v, a, way = self.speed_mps, self.accel_mps2, self.unscored_m
+        return math.sqrt(2.0 * way / a) if way < 0.5 * v * v / a else way / v + 0.5 * v / a
 
 
 def make_path(config: RobotConfig, field: HeightField) -> Path:

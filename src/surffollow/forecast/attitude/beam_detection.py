@@ -8,7 +8,12 @@ those of two others is blocked, or stuck. Without a majority the beams that see 
 
 import math
 
-from surffollow.forecast.attitude.plane_regression import fit_plane, flat_height, half_squared_distance
+from surffollow.forecast.attitude.plane_regression import (
+    flat_height,
+    half_squared_distance,
+    is_bent,
+    odd_beam,
+)
 from surffollow.forecast.estimation.noise import assumed_noise_m, estimated_range_noise_m
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
@@ -174,13 +179,6 @@ def plausible_bend_m(params, adaptive):
 
 
 @jit
-def is_bent(adaptive, n_channels, gate_m):
-    """Whether the accepted beams lie on no plane within the gate."""
-    fit = fit_plane(adaptive, adaptive.beams.accepted, n_channels)
-    return fit.rank == 2 and fit.error_m2 > gate_m * gate_m
-
-
-@jit
 def collect_heights(params, adaptive, t_ns, x_m, y_m):
     """Sorted heights at (x, y) by beams that are recent and not blocked; their number, and of repeating ones.
 
@@ -244,15 +242,15 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     while last > 0 and beams.sorted_m[last] > highest_m:
         last -= 1
     nearest = beams.sorted_m[last]
-    # one wrong beam of six or more does not count against all others, also behind a disagreement
-    settled = n > 5 and agree >= n - 1
-    apart = 2 * agree <= n or (beams.inconsistent != 0 and nearest > median + gate and not settled)
+    apart, odd = 2 * agree <= n or (beams.inconsistent != 0 and nearest > median + gate), -1
     if n < 4 or not begun or not apart:
         beams.inconsistent = 0
     elif is_bent(adaptive, params.n_channels, max(gate, plausible_bend_m(params, adaptive))):
+        # one wrong beam of six or more does not count against all others
+        odd = odd_beam(adaptive, params.n_channels, gate) if n > 5 else -1
         # of a slow ring, or beams by turns, as many as come in the time in which a fault is over
         interval_ns = max(adaptive.prediction.interval_s * 1e9, PAUSE_NS / CONFIRMED_SAMPLES)
-        beams.inconsistent = max(int(PAUSE_NS / interval_ns), turned)
+        beams.inconsistent = max(int(PAUSE_NS / interval_ns), turned) if odd < 0 else 0
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
     good = 0
@@ -260,7 +258,9 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         if beams.accepted[c] == 0:
             beams.weight[c] = 0.0
             continue
-        if beams.inconsistent != 0:
+        if odd >= 0:
+            rejected = c == odd
+        elif beams.inconsistent != 0:
             rejected = not nearest - gate <= beams.height_m[c] <= nearest
         else:
             deviation = (beams.height_m[c] - median) / gate

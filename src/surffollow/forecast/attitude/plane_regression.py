@@ -34,7 +34,7 @@ def flat_height(beams, curvature, c):
 
 
 @jit
-def fit_plane(adaptive, weights, n_channels):
+def fit_plane(adaptive, weights, n_channels, without=-1):
     """Weighted least squares of a plane, along the principal axes of the footprints.
 
     Parameters
@@ -42,6 +42,7 @@ def fit_plane(adaptive, weights, n_channels):
     adaptive : record of `AdaptiveState`: heights are corrected by the known slopes and curvature
     weights : (8,) array  0 to 1; 0: the beam does not count
     n_channels : int      channels in use
+    without : int         a channel that does not count; -1: all do
 
     Returns
     -------
@@ -50,13 +51,13 @@ def fit_plane(adaptive, weights, n_channels):
     beams, plane = adaptive.beams, adaptive.plane
     total, mx, my, mh = 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
-        w = weights[c]
+        w = weights[c] if c != without else 0
         mx, my = mx + w * beams.footprint_m[3 * c], my + w * beams.footprint_m[3 * c + 1]
         total, mh = total + w, mh + w * flat_height(beams, plane.curvature, c)
     mx, my, mh = mx / total, my / total, mh / total
     xx, xy, yy, xh, yh, hh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(n_channels):
-        w = weights[c]
+        w = weights[c] if c != without else 0
         dx, dy = beams.footprint_m[3 * c] - mx, beams.footprint_m[3 * c + 1] - my
         dh = flat_height(beams, plane.curvature, c) - mh - plane.slope_x * dx - plane.slope_y * dy
         xx, xy, yy = xx + w * dx * dx, xy + w * dx * dy, yy + w * dy * dy
@@ -76,6 +77,28 @@ def fit_plane(adaptive, weights, n_channels):
         across = 0.0
     ex, ey = along * ux - across * uy, along * uy + across * ux
     return PlaneFit(rank, mx, my, mh, ex, ey, minor, error_m2)
+
+
+@jit
+def is_bent(adaptive, n_channels, gate_m):
+    """Whether the accepted beams lie on no plane within the gate."""
+    fit = fit_plane(adaptive, adaptive.beams.accepted, n_channels)
+    return fit.rank == 2 and fit.error_m2 > gate_m * gate_m
+
+
+@jit
+def odd_beam(adaptive, n_channels, gate_m):
+    """Accepted beam without which the others lie on a plane best, within the gate; -1: none.
+
+    The known slopes do not matter: with wrong ones all beams disagree.
+    """
+    odd, least_m2 = -1, gate_m * gate_m
+    for c in range(n_channels):
+        if adaptive.beams.accepted[c] != 0:
+            fit = fit_plane(adaptive, adaptive.beams.accepted, n_channels, c)
+            if fit.rank == 2 and fit.error_m2 <= least_m2:
+                odd, least_m2 = c, fit.error_m2
+    return odd
 
 
 @jit

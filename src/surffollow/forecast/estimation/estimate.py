@@ -3,6 +3,7 @@
 import math
 
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights, noise, setpoint_lead
+from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, PAUSE_NS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
@@ -11,6 +12,7 @@ from surffollow.forecast.terrain.terrain_buffer import store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, N_MODELS, PENDING_HEIGHTS, RESTART, STEP
 
+MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest, too
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 
 
@@ -32,11 +34,12 @@ def blend_models(adaptive):
 
 
 @jit
-def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
+def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh):
     """Initialise with level ground at the first height.
 
-    Performance index, weights, noise, usual innovation and likelihood of slots from before a loss stay. The
-    index fades soon: each new error counts as in a mean over the samples since (`update_index`).
+    Performance index, weights, noise, usual innovation and likelihood of slots stay, unless it is a fresh
+    start. The index fades soon: each new error counts as in a mean over the samples since (`update_index`).
+    A follower that does not adapt keeps the weights as they are.
 
     Parameters
     ----------
@@ -45,10 +48,9 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     travel_m : float64    distance travelled by the footprint since the sample before [m], ≥ 0
     h_m : float64         height of the footprint [m]
     standoff_m : float64  desired height of the tool above the ground [m]
-    adapt : bool          False: the weights stay as they are, unless this is the first sample of all
+    fresh : bool          nothing is known, or it was learned from bad samples
     """
     gate, shadow, weights, estimate = adaptive.gate, adaptive.shadow, adaptive.weights, adaptive.estimate
-    fresh = gate.slot_likelihood == 0.0  # nothing is known, or it was discarded
     model_bank.reset_bank(adaptive.bank, h_m, noise.INITIAL_NOISE_M * noise.INITIAL_NOISE_M)
     shadow_axes.reset_shadows(shadow, t_ns, h_m + standoff_m)
     if fresh:
@@ -57,7 +59,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
         shadow_axes.reset_effort(shadow)
         noise.initialise_noise(adaptive.noise)
     estimate.samples, estimate.kept_slope = 1, 0.0
-    if fresh or adapt:
+    if fresh or adapts(params, adaptive):
         model_weights.update_weights(params, adaptive, math.inf)  # without their filter
     innovation_gate.reset_gate(gate, adaptive.pending, fresh)
     estimate.sample_ns = estimate.accepted_ns = t_ns
@@ -66,23 +68,6 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     estimate.settle_ns = t_ns + 60_000_000  # the performance index waits until setpoints have acted
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
     blend_models(adaptive)
-
-
-@jit
-def restart_estimate(params, adaptive, t_ns, h_m, standoff_m, adapt):
-    """Initialise again after a bad first sample; discard noise and slots learned from it, keep older ones.
-
-    Parameters
-    ----------
-    params, adaptive : records of `Params`, `AdaptiveState` (updated)
-    t_ns : int64          timestamp of the sample
-    h_m : float64         height to begin with [m]
-    standoff_m : float64  desired height of the tool above the ground [m]
-    adapt : bool          as in `reset_estimate`
-    """
-    if adaptive.weights.scored <= adaptive.estimate.samples:
-        innovation_gate.discard_slots(adaptive.gate)
-    reset_estimate(params, adaptive, t_ns, 0.0, h_m, standoff_m, adapt)
 
 
 @jit
@@ -133,7 +118,7 @@ def discard_estimate(estimate):
 
 
 @jit_inlined
-def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
+def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     """Propagate the bank to a sample, gate it and update; whether it entered the estimate.
 
     Parameters
@@ -143,7 +128,6 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     travel_m : float64       distance travelled by the footprint since the sample before [m], ≥ 0
     h_m : float64            height of the footprint [m]
     standoff_m : float64     desired height of the tool above the ground [m]
-    adapt : bool             False: index, weights and noise stay as they are
     """
     gate, bank, estimate, kinematics = adaptive.gate, adaptive.bank, adaptive.estimate, adaptive.kinematics
     dt, since_accepted_ns = (t_ns - estimate.sample_ns) * 1e-9, t_ns - estimate.accepted_ns
@@ -151,10 +135,12 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     unseen = adaptive.health.unseen != 0 or since_accepted_ns > params.loss_timeout_ns
     outdated = travel_m > MAX_TRAVEL_M or unseen
     if estimate.samples == 0 or outdated or other_frame:
-        reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt)
+        fresh = gate.slot_likelihood == 0.0
+        reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh)
         return True
+    adapt = adapts(params, adaptive)  # else index, weights and noise stay as they are
     gap = t_ns - estimate.sample_ns > max(PAUSE_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
-    travel = max(travel_m, shadow_axes.MIN_SPEED_MPS * dt)
+    travel = max(travel_m, MIN_SPEED_MPS * dt)
     over_ns = t_ns - int(shadow_axes.compared_lag_s(adaptive) * 1e9)
     comparable = shadow_axes.propagate_shadows(params, adaptive, over_ns)
     estimate.sample_ns = t_ns
@@ -171,12 +157,13 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, adapt):
     # a fall that was expected is part of the innovation, too
     steepest = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)
     rose = gate.nearer != 0
-    decision = innovation_gate.judge_sample(params, adaptive, innovation, travel, steepest, gap, adapt)
+    decision = innovation_gate.judge_sample(params, adaptive, innovation, travel, steepest, gap)
     if decision < ACCEPTED:
         return False
     if decision == RESTART:
-        first_m = adaptive.pending.height_m / adaptive.pending.samples
-        restart_estimate(params, adaptive, t_ns, first_m, standoff_m, adapt)
+        only_bad = adaptive.weights.scored <= estimate.samples  # what is known is of the bad samples alone
+        pending_m = adaptive.pending.height_m / adaptive.pending.samples
+        reset_estimate(params, adaptive, t_ns, 0.0, pending_m, standoff_m, only_bad)
         return True
     if decision == STEP:
         if rose and innovation > 0.0 and estimate.slope < 0.0:  # the models fall on where the ground rises

@@ -24,6 +24,7 @@ from surffollow.forecast.estimation.pending_samples import (
     drop_pending,
     reject_pending,
 )
+from surffollow.forecast.modes import adapts
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
     MAX_SLOPE,
@@ -37,7 +38,7 @@ from surffollow.shm.layout_adaptive_estimation import ACCEPTED, PENDING, RESTART
 
 
 @jit
-def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, adapt):
+def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
     """Decide on a sample, and note what the next one needs of it.
 
     Parameters
@@ -47,27 +48,33 @@ def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap, adap
     travel_m : float64      distance travelled d since the sample before [m]
     steepest_m : float64    greatest change of the ground since the last accepted sample [m]
     gap : bool              the samples paused before: a step needs no travel
-    adapt : bool            False: the usual innovation stays as it is
 
     Returns
     -------
     int64
         WITHHELD, PENDING, ACCEPTED, STEP or RESTART.
     """
-    gate, estimate = adaptive.gate, adaptive.estimate
+    gate, pending, estimate = adaptive.gate, adaptive.pending, adaptive.estimate
     rises_on = gate.nearer != 0 and innovation_m > 0.0
     gate.steepest_rise_m = MAX_SLOPE * steepest_m if rises_on else steepest_m
     _update_travel(params, gate, travel_m)
-    gate.decision = _decide(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on)
-    if gate.decision == ACCEPTED:
-        _accept_sample(params, gate, adaptive.pending)
-    elif gate.decision < ACCEPTED:  # it waits
-        if adapt and gate.decision == WITHHELD and estimate.samples > 1:
+    decision = _decide(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on)
+    if decision == ACCEPTED:
+        if pending.samples >= params.step_samples:  # enough for a step: they were a slot
+            gate.slot_likelihood = 1.0
+        drop_pending(pending)
+        gate.nearer, gate.unconfirmed_m, gate.withheld_m = 0, 0.0, 0.0
+    elif decision < ACCEPTED:  # it waits
+        adapt, waits_s = adapts(params, adaptive), (estimate.sample_ns - estimate.accepted_ns) * 1e-9
+        if adapt and decision == WITHHELD and estimate.samples > 1:
             update_scale(gate, innovation_m)  # frequent ones mean rough ground
-        _note_nearer(gate, innovation_m, gate.decision == WITHHELD)
-        if adapt and (estimate.sample_ns - estimate.accepted_ns) * 1e-9 > 2.0 * adaptive.plant.tau_s:
-            _widen_gate(gate, adaptive.pending, estimate.samples)
-    return gate.decision
+        _note_nearer(gate, innovation_m, decision == WITHHELD)
+        # many in a row that agree with none, and lie on both sides, are noise. After few samples the estimate
+        # itself may lie on one side of them
+        both_sides = pending.opposed >= 3 or estimate.samples < USUAL_SAMPLES
+        if adapt and waits_s > 2.0 * adaptive.plant.tau_s and pending.rejected >= 8 and both_sides:
+            gate.scale_m *= 1.25
+    return decision
 
 
 @jit
@@ -115,15 +122,6 @@ def _update_travel(params, gate, travel_m):
 
 
 @jit
-def _accept_sample(params, gate, pending):
-    """Drop the pending samples; if they were enough for a step, they were a slot."""
-    if pending.samples >= params.step_samples:
-        gate.slot_likelihood = 1.0
-    drop_pending(pending)
-    gate.nearer, gate.unconfirmed_m, gate.withheld_m = 0, 0.0, 0.0
-
-
-@jit
 def register_step(params, gate, pending, t_ns):
     """Take the pending samples as a step confirmed at `t_ns`."""
     # ground that is nearer again within the width of a slot: the fall before was a slot, or the path began in
@@ -165,16 +163,6 @@ def update_scale(gate, innovation_m):
 
 
 @jit
-def _widen_gate(gate, pending, samples):
-    """Raise the usual innovation where many outliers in a row agree with none, and lie on both sides.
-
-    They are noise. After few `samples` the estimate itself may lie on one side of them.
-    """
-    if pending.rejected >= 8 and (pending.opposed >= 3 or samples < USUAL_SAMPLES):
-        gate.scale_m *= 1.25
-
-
-@jit
 def gate_width(params, adaptive):
     """Usual width of the gate [m]: neighbouring counts of a coarse sensor agree."""
     return max(params.gate_scales * adaptive.gate.scale_m, params.gate_m, 2.0 * count_m(adaptive.hold))
@@ -203,9 +191,3 @@ def reset_gate(gate, pending, fresh):
     drop_pending(pending)
     gate.unconfirmed_m = gate.withheld_m = gate.travel_since_step_m = gate.step_m = 0.0
     gate.nearer = gate.step_ns = 0
-
-
-@jit
-def discard_slots(gate):
-    """Mark the likelihood of slots as not known, and with it all that a fresh start assumes."""
-    gate.slot_likelihood = 0.0

@@ -38,26 +38,13 @@ def _agrees(params, adaptive, innovation_m, travel_m, gate_m):
 def _add_pending(adaptive, innovation_m, travel_m):
     """Add an outlier to the sums and the ring of the pending samples."""
     pending, estimate = adaptive.pending, adaptive.estimate
-    height_m = estimate.height_m + innovation_m
+    height_m, slot = estimate.height_m + innovation_m, pending.samples & (PENDING_HEIGHTS - 1)
+    pending.kept_arc_length_m[slot], pending.kept_height_m[slot] = estimate.arc_length_m, height_m
     pending.samples += 1
     pending.travel_m += travel_m
     pending.innovation_m += innovation_m
     pending.arc_length_m += estimate.arc_length_m
     pending.height_m += height_m
-    slot = (pending.samples - 1) & (PENDING_HEIGHTS - 1)
-    pending.kept_arc_length_m[slot], pending.kept_height_m[slot] = estimate.arc_length_m, height_m
-
-
-@jit
-def _replace_pending(adaptive, innovation_m, travel_m):
-    """Begin the pending samples with an outlier that agrees with none before it."""
-    pending = adaptive.pending
-    if pending.samples > 0:
-        pending.rejected += 1
-        pending.opposed += 1 if innovation_m * pending.innovation_m < 0.0 else 0
-    pending.samples, pending.travel_m, pending.t_ns = 0, 0.0, adaptive.estimate.sample_ns
-    pending.innovation_m = pending.arc_length_m = pending.height_m = 0.0
-    _add_pending(adaptive, innovation_m, travel_m)
 
 
 @jit
@@ -100,10 +87,14 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on):
         pending.travel_m += travel_m
         return False
     pending.odd = 0
-    if agrees:
-        _add_pending(adaptive, innovation_m, travel_m)
-    else:
-        _replace_pending(adaptive, innovation_m, params.step_travel_m if gap else 0.0)
+    if not agrees:  # with none before it: the pending samples begin with it
+        if pending.samples > 0:
+            pending.rejected += 1
+            pending.opposed += 1 if innovation_m * pending.innovation_m < 0.0 else 0
+        pending.samples, pending.t_ns = 0, estimate.sample_ns
+        pending.travel_m = pending.innovation_m = pending.arc_length_m = pending.height_m = 0.0
+        travel_m = params.step_travel_m if gap else 0.0
+    _add_pending(adaptive, innovation_m, travel_m)
     # a step away from the tool may be a slot; with a bad start, and at rest, there is no travel
     travelled = pending.travel_m >= params.step_travel_m * adaptive.gate.slot_likelihood
     stood = estimate.sample_ns - pending.t_ns >= STOOD_NS

@@ -74,16 +74,6 @@ def mean_wait_s(params, controller):
 
 
 @jit
-def open_period(adaptive, inputs):
-    """Latch time of the period that has just begun, which is set; until then its demand may change."""
-    controller, now_ns = adaptive.controller, adaptive.clock.now_ns
-    latch_ns = latch_time(adaptive, inputs, now_ns)
-    controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = latch_ns
-    controller.latch_pending = 1 if latch_ns > now_ns else 0
-    return latch_ns
-
-
-@jit
 def usual_interval(usual_ns, dt_ns):
     """Usual interval after one more [ns]: a mean over some ten, at first the first one, without gaps."""
     if not 0 < dt_ns < MAX_GAP_NS:
@@ -127,11 +117,16 @@ def observe_latch(controller, inputs, poses, now_ns):
 
 
 @jit
-def begin_period(controller, now_ns):
-    """Begin a controller period now, and update the usual period."""
+def begin_period(adaptive, inputs):
+    """Begin a controller period now; its latch time [ns], until which its demand may change."""
+    controller, now_ns = adaptive.controller, adaptive.clock.now_ns
+    latch_ns = latch_time(adaptive, inputs, now_ns)
     controller.usual_ns = usual_interval(controller.usual_ns, now_ns - controller.period_ns)
-    controller.periods += 1
     controller.period_ns = now_ns
+    controller.latch_ns[controller.periods & (N_PERIODS - 1)] = latch_ns
+    controller.latch_pending = 1 if latch_ns > now_ns else 0
+    controller.periods += 1
+    return latch_ns
 
 
 @jit

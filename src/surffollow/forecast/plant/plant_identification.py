@@ -10,8 +10,8 @@ import math
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.modes import learns
 from surffollow.forecast.plant import axis_model, controller_clock
-from surffollow.forecast.pose import newest_pose, newest_until
-from surffollow.forecast.quantities import QUICK_RATE, SLOW_RATE, follow_usual
+from surffollow.forecast.pose import newest_pose, newest_until, pose_at
+from surffollow.forecast.quantities import MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
 from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit, jit_inlined
@@ -43,7 +43,7 @@ def reset_axes(params, adaptive, t_ns, z_m):
     plant.axis_m, plant.axis_mps = z_m, climb_mps
     plant.t_ns = t_ns
     plant.offset_m = plant.scatter_m = plant.coast_scatter_m = 0.0
-    if plant.tau_s <= 0.0 or plant.tau_configured_s != params.plant_tau_s:
+    if plant.tau_configured_s != params.plant_tau_s:  # or nothing has begun yet
         plant.tau_s = plant.tau_configured_s = params.plant_tau_s
         plant.error_m2[:] = 0.0
 
@@ -181,8 +181,8 @@ def update_plant(params, adaptive, sense, inputs):
 def predict_pose(params, adaptive, sense, t_ns, pose):
     """Pose of the tool at a time into `pose`; behind the newest report it is extrapolated.
 
-    The height goes where the observed axis leads it, or at constant velocity: as has been nearer to the
-    reports so far. A slow controller moves the tool by steps, which have no constant velocity.
+    It goes on at constant velocity. The height goes where the observed axis leads it, if that has been nearer
+    to the reports so far. A slow controller moves the tool by steps, which have no constant velocity.
 
     Parameters
     ----------
@@ -190,9 +190,16 @@ def predict_pose(params, adaptive, sense, t_ns, pose):
     t_ns : int64         time of the pose
     pose : (7,) float64  receives x y z [m], qx qy qz qw
     """
-    plant = adaptive.plant
-    kinematics.coast_pose(adaptive.kinematics, sense, t_ns, pose)
-    if t_ns > plant.t_ns and 0.0 < plant.scatter_m < plant.coast_scatter_m:
+    plant, motion = adaptive.plant, adaptive.kinematics
+    pose_at(sense, t_ns, pose)
+    late_ns = t_ns - sense.pose_t_ns[newest_pose(sense)]
+    if late_ns <= 0:
+        return
+    dt = min(late_ns, MAX_GAP_NS) * 1e-9
+    pose[0] += motion.velocity_x_mps * dt
+    pose[1] += motion.velocity_y_mps * dt
+    pose[2] = kinematics.coast_height(motion, sense, sense.pose_count - 1, t_ns)
+    if 0.0 < plant.scatter_m < plant.coast_scatter_m:
         pose[2] = predict_axis(params, plant, t_ns)[0] + plant.offset_m
 
 

@@ -10,7 +10,6 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_AXES, N_MODELS, N_PERIODS
 
 MAX_LAG_S = 0.32  # of a sensor that trails: half the setpoints kept, the others are for its latency
-MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest, too
 
 
 @jit

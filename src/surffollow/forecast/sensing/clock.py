@@ -5,20 +5,22 @@ from surffollow.shm.jit import jit
 
 
 @jit
-def clock_jump_ns(scaled):
-    """Time beyond which a timestamp belongs to another clock, in nanoseconds of the inputs.
+def inputs_ns(scaled, ns):
+    """A time in nanoseconds of the inputs, given at the reference scale.
 
     Parameters
     ----------
     scaled : record of `ScaledState`  read only
+    ns : int64
     """
-    return LONG_GAP_NS << scaled.shift if scaled.shift >= 0 else LONG_GAP_NS >> -scaled.shift
+    return ns << scaled.shift if scaled.shift >= 0 else ns >> -scaled.shift
 
 
 @jit
 def update_clock(clock, t_ns, pose_t_ns):
     """Advance the time to the latest timestamp; whether the clock jumped back, which is followed."""
     t = max(t_ns, pose_t_ns)
-    jumped = t < clock.now_ns - LONG_GAP_NS
+    jumped = t < clock.now_ns - LONG_GAP_NS or pose_t_ns < clock.pose_ns
+    clock.pose_ns = pose_t_ns
     clock.now_ns = t if jumped else max(clock.now_ns, t)
     return jumped

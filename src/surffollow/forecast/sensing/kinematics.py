@@ -2,9 +2,9 @@
 
 import math
 
-from surffollow.forecast.pose import newest_pose, newest_until, pose_at
+from surffollow.forecast.pose import newest_pose, newest_until
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS, follow_usual
-from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
 # ground that moves changes at least as quickly as other ground does under a tool of this speed
@@ -106,16 +106,14 @@ def update_kinematics(params, kinematics, sense):
         return False
     jumped = 0 < kinematics.pose_count < sense.pose_count and note_jump(params, kinematics, sense)
     kinematics.pose_count = sense.pose_count
-    kinematics.coasted_m = coast_height(
-        kinematics, sense, sense.pose_count - 2, sense.pose_t_ns[newest_pose(sense)]
-    )
-    last, jump = sense.pose_count - 1, kinematics.jump_ns
-    if sense.pose_t_ns[newest_pose(sense)] == jump:
+    last, newest_ns, jump_ns = sense.pose_count - 1, sense.pose_t_ns[newest_pose(sense)], kinematics.jump_ns
+    kinematics.coasted_m = coast_height(kinematics, sense, last - 1, newest_ns)
+    if newest_ns == jump_ns:
         return jumped  # the velocity is that before the jump
-    first = oldest_pose_within(sense, PAUSE_NS, jump)
+    first = oldest_pose_within(sense, PAUSE_NS, jump_ns)
     kinematics.velocity_x_mps, kinematics.velocity_y_mps, _, _ = velocity_between(sense, first, last)
     kinematics.speed_mps = math.sqrt(kinematics.velocity_x_mps**2 + kinematics.velocity_y_mps**2)
-    near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump)
+    near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump_ns)
     _, _, kinematics.climb_mps, _ = velocity_between(sense, near, last)
     return jumped
 
@@ -136,22 +134,3 @@ def path_speed(kinematics):
 def distance_along(kinematics, x_m, y_m):
     """Component of a horizontal vector along the direction of travel [m]; the tool must move."""
     return (x_m * kinematics.velocity_x_mps + y_m * kinematics.velocity_y_mps) / kinematics.speed_mps
-
-
-@jit_inlined
-def coast_pose(kinematics, sense, t_ns, pose):
-    """Pose of the tool at a time into `pose`; behind the newest report its velocity is constant.
-
-    Parameters
-    ----------
-    kinematics, sense : records of `Kinematics`, `SenseState`
-    t_ns : int64         time of the pose
-    pose : (7,) float64  receives x y z [m], qx qy qz qw
-    """
-    pose_at(sense, t_ns, pose)
-    late = t_ns - sense.pose_t_ns[newest_pose(sense)]
-    if late > 0:
-        dt = min(late, MAX_GAP_NS) * 1e-9
-        pose[0] += kinematics.velocity_x_mps * dt
-        pose[1] += kinematics.velocity_y_mps * dt
-        pose[2] = coast_height(kinematics, sense, sense.pose_count - 1, t_ns)

@@ -8,7 +8,7 @@ import math
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
 from surffollow.forecast.estimation import estimate, innovation_gate
-from surffollow.forecast.modes import adapts, orients
+from surffollow.forecast.modes import orients
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import follow_usual
@@ -60,16 +60,15 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
         for c in range(params.n_channels):
             if adaptive.beams.accepted[c] == 0:  # excluded beams are not mapped
                 output.fresh &= ~(1 << c)
-    elif at_rest or adaptive.latency.count > 0:
-        latency_identification.observe_height(params, adaptive, sense, t, h, pose)
-        predict_pose(params, adaptive, sense, t, pose)  # the regression needs other poses
     travel = advance_path(params, adaptive, t, x, y, pose)
+    if not orients(params) and (at_rest or adaptive.latency.count > 0):
+        latency_identification.observe_height(params, adaptive, sense, t, h, pose)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     if not at_rest:
         ahead = footprint_lead(adaptive, sense.pose, 7 * newest_pose(sense))
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
-    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m, adapts(params, adaptive))
+    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m)
     sample.arc_length_m = adaptive.estimate.arc_length_m  # an initialisation advances it farther
     if not entered:
         return

@@ -24,12 +24,10 @@ def count_repeats(params, adaptive, range_m, tool_z_m):
     """
     repeats, sigma_m = adaptive.repeats, estimated_range_noise_m(adaptive.noise)
     change_m = abs(range_m - repeats.range_m)
-    repeats.ended = 0
     if repeats.count == 0 or change_m > REPEAT_BAND * sigma_m:
         more, outlier = repeats.count - repeats.usual, change_m > gate_width(params, adaptive)
         if adaptive.response.phase == RESPONSE_RUN:
             repeats.usual += more / (RUN_SAMPLES if more < 0.0 else 8.0 if outlier else 1.0)
-        repeats.ended = 1 if is_repeated(repeats) else 0
         repeats.count, repeats.range_m, repeats.tool_z_m, repeats.unused = 1, range_m, tool_z_m, 0
         return
     repeats.count += 1

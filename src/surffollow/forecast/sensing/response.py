@@ -103,18 +103,19 @@ def _update_run(params, adaptive, tool_z_m):
     ascent *= ASCENT_SHARE
     rises = ascent > descent and descent < band_m  # it has not turned down since
     sparse = number <= mean_range.MIN_READINGS  # the ground changes while an answer is awaited
+    repeated = is_repeated(adaptive.repeats)
+    sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
+    returns = sign == SIGN_FOR_HOLD and response.t_ns < response.returned_ns and not repeated
+    if returns:  # behind a hold the tool is too high
+        sign = SIGN_FOR_SHIFT
+    if response.t_ns < response.settled_ns and not repeated:
+        sign = NO_SIGN
     tau_s, wait_s, means = adaptive.plant.tau_s, answer_s(adaptive, MIN_MEANS), MIN_MEANS
-    steep = not rises and run.rate_mps * wait_s > STEEP * params.offset_m
+    steep = not rises and (returns or run.rate_mps * wait_s > STEEP * params.offset_m)
     if steep:  # the greater shift is answered sooner
         wait_s, means = answer_s(adaptive, 1.0) - tau_s, 1.0
-    if run.samples <= means * number or (rises and sparse and not is_repeated(adaptive.repeats)):
+    if run.samples <= means * number or (rises and sparse and not repeated):
         return
-    sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
-    if not is_repeated(adaptive.repeats):
-        if response.t_ns < response.unshifted_ns:
-            sign = NO_SIGN
-        elif response.t_ns < response.returned_ns:
-            sign = min(sign, SIGN_FOR_SHIFT)
     response.rises = 1 if rises else 0
     # until the axis has stopped
     stop_m = run.rate_mps * (adaptive.latency.delay_s + tau_s)
@@ -207,23 +208,21 @@ def _answer_m(adaptive):
 
 @jit
 def _responds(adaptive):
-    """Whether the mean range has left the band of the run, or one that was repeated changes in a test."""
+    """Whether the mean range has left the band of the run; in a test a wider one."""
     change_m = abs(adaptive.run.mean_m - adaptive.run.range_m)
-    if adaptive.response.phase == RESPONSE_RUN:
-        return change_m > mean_range.range_band_m(adaptive)
-    return change_m > _answer_m(adaptive) or adaptive.repeats.ended != 0
+    in_run = adaptive.response.phase == RESPONSE_RUN
+    return change_m > (mean_range.range_band_m(adaptive) if in_run else _answer_m(adaptive))
 
 
 @jit
 def _await_return(adaptive):
     """Note when the tool is back from the test or the shift that has been answered."""
     response = adaptive.response
-    back_ns = response.t_ns + int(1e9 * answer_s(adaptive, 1.0))
+    if response.phase == RESPONSE_RUN and response.lift_m == 0.0:
+        return
+    response.settled_ns = response.t_ns + int(1e9 * answer_s(adaptive, 1.0))
     if response.phase != RESPONSE_RUN:
-        response.settled_ns = back_ns
-        response.returned_ns = back_ns + int(1e9 * ANSWER_TAUS * adaptive.plant.tau_s)
-    elif response.lift_m > 0.0:
-        response.unshifted_ns = back_ns
+        response.returned_ns = response.settled_ns + int(1e9 * ANSWER_TAUS * adaptive.plant.tau_s)
 
 
 @jit_inlined
@@ -253,7 +252,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     begins = begins or (response.swing_m > 0.0 and adaptive.run.standoff_m != params.offset_m)
     if begins or _responds(adaptive):
         if begins:
-            response.settled_ns = response.returned_ns = response.unshifted_ns = 0
+            response.settled_ns = response.returned_ns = 0
         else:
             _await_return(adaptive)
         # of a step the mean sees a part
@@ -261,8 +260,6 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
         _begin_run(params, adaptive, tool_z_m, range_m if step else mean_m)
     elif in_run and spread_m > 0.0:
         _test_descent(params, adaptive, tool_z_m, spread_m)
-    elif in_run and t_ns < response.settled_ns and not is_repeated(adaptive.repeats):
-        _begin_run(params, adaptive, tool_z_m, mean_m)  # the tool is on its way back from a test
     elif in_run:
         _update_run(params, adaptive, tool_z_m)
     elif response.phase != RESPONSE_FAILED:

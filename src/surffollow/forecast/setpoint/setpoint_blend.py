@@ -4,7 +4,6 @@ import math
 
 from surffollow.forecast import quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
-from surffollow.forecast.estimation.adaptation import permitted_variance_m
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
@@ -78,8 +77,8 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
 
 
 @jit_inlined
-def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
-    """Blend the models' setpoints; when a controller period is due, record each of them.
+def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m):
+    """Blend the models' setpoints.
 
     The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
     fade over `dropout_travel_m`, a step away from the tool that was confirmed just before is taken back, and
@@ -93,7 +92,6 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
     pose_ns : int64       timestamp of the newest pose
     ahead_m : float64     distance beyond the newest footprint [m]; a sensor that leads counts as 0
     standoff_m : float64  desired height of the tool above the ground [m]
-    due : bool            a controller period begins
 
     Returns
     -------
@@ -127,12 +125,18 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m, due):
         z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)
     else:
         blend.tracked_m = z
-    if due:
-        shadow_axes.record_setpoints(adaptive)
-        controller_clock.begin_period(adaptive.controller, clock.now_ns)
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, slope * speed_mps, clock.now_ns
     blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
     return z
+
+
+@jit
+def permitted_variance_m(params, adaptive):
+    """Permitted_Variance in force [m]: the change that is not relayed.
+
+    Where the standard deviation of the height is larger, it takes its place, 2 mm at most.
+    """
+    return max(params.permitted_variance_m, min(adaptive.estimate.sigma_m, 2e-3))
 
 
 @jit_inlined
@@ -179,12 +183,10 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
         return tool_z_m  # heights are in the frame before the jump
     few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
-    no_descent = tool_z_m if hardly_known else -math.inf
+    no_descent = tool_z_m if stuck or hardly_known else -math.inf
     lowest, highest = setpoint_range(adaptive.response)
     if stuck:  # ground that is not seen may rise as steeply as it did before
         rise_m = unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s)
         target_m = max(target_m, tool_z_m + rise_m)
     tested = min(max(target_m, lowest), highest)
-    if stuck:  # not toward the surface
-        tested = max(tested, tool_z_m)
     return max(tested, no_descent, innovation_gate.withheld_setpoint(adaptive, standoff_m))

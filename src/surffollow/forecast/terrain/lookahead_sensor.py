@@ -1,6 +1,7 @@
 """Look-ahead sensors: channels beyond the first that measure the ground ahead of the tool.
 
-Their heights enter the terrain buffer; a sample that disagrees with the one before is left out.
+Their heights enter the terrain buffer; a sample that disagrees with the one before is left out. None enters
+while channel 0 leads itself: nothing under the tool would check them.
 """
 
 from surffollow.forecast.plant.plant_identification import predict_pose
@@ -8,7 +9,7 @@ from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import APART_M, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.kinematics import distance_along, is_at_rest
 from surffollow.forecast.terrain.known_ground import disagreement_m
-from surffollow.forecast.terrain.terrain_buffer import CELL_M, store_ground
+from surffollow.forecast.terrain.terrain_buffer import CELL_M, sensor_leads, store_ground
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
@@ -27,7 +28,7 @@ def observe_lookahead(params, adaptive, sense, pose):
     moving = not is_at_rest(kinematics)  # otherwise no channel leads, nor does one that was silent for 200 ms
     if not moving or clock.now_ns - lookahead.seen_ns > 200_000_000:
         lookahead.lead_m = 0.0
-    if not moving or estimate.samples == 0:
+    if not moving or estimate.samples == 0 or sensor_leads(adaptive):
         return
     for c in range(1, params.n_channels):
         t = sense.range_t_ns[c] + adaptive.hold.shift_ns

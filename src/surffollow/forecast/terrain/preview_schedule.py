@@ -6,13 +6,14 @@
 
 from surffollow.forecast.modes import orients
 from surffollow.forecast.plant import axis_model, controller_clock
+from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.reference_scales import dimensionless_time, is_unscaled
 from surffollow.forecast.sensing import kinematics, sample_hold
 from surffollow.forecast.terrain import known_ground
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
-from surffollow.shm.layout_follow import MODE_ADAPTIVE, POSES
+from surffollow.shm.layout_follow import MODE_ADAPTIVE
 
 
 @jit
@@ -69,7 +70,7 @@ def preview_window(params, state, inputs):
     """
     d, adaptive, sense, i = state[0].scaled, state[0].adaptive, state[0].sense, inputs[0]
     motion, sample = adaptive.kinematics, adaptive.sample
-    k = (max(sense.pose_count, 1) - 1) & (POSES - 1)
+    k = newest_pose(sense)
     pose_t_ns, x, y = sense.pose_t_ns[k], sense.pose[7 * k], sense.pose[7 * k + 1]
     if i.n_poses > 0:
         k = i.n_poses - 1

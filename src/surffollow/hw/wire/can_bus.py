@@ -49,7 +49,10 @@ class CanConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if not self.messages:
-            raise ConfigError("a CAN driver needs messages, at least one; see docs/reference/drivers.md")
+            raise ConfigError(
+                "a CAN driver needs messages, at least one; see docs/reference/drivers.md of the source "
+                "distribution"
+            )
         keys = {(m.id, m.extended) for m in self.messages}
         if len(keys) < len(self.messages):
             raise ConfigError("two messages have the same identifier")

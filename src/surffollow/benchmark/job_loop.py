@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Run:
     """Clearance [m] and states of the follower per pose."""
 
     clearance_m: np.ndarray
-    states: list[dict]
+    states: list[dict[str, Any]]
 
     def rms_m(self, job: Job) -> float:
         return float(np.sqrt(np.mean((self.clearance_m - job.standoff_m) ** 2)))
@@ -51,7 +52,7 @@ def follow(
     misread: Callable[[float, float, np.random.Generator], float] | None = None,
     seed: int = 1,
     latest_s: float = 0.0,
-    live: tuple[float, dict] | None = None,
+    live: tuple[float, dict[str, Any]] | None = None,
     drift: float = 0.0,
     place_m: Callable[[float], float] | None = None,
     height_noise_m: float = 0.0,

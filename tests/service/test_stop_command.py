@@ -1,0 +1,74 @@
+"""`surffollow stop` of what it cannot see: a process that dies, another user's service, a block."""
+
+from __future__ import annotations
+
+import os
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from running_service import Service, unique_name
+from second_user import OtherUser, as_other_user, needs_root, outcome
+from surffollow.blocks import F64, Block, mem_attach
+from surffollow.cli.arbiter_stop import stop_command as arbiter_stop_command
+from surffollow.cli.service import stop_command
+from surffollow.errors import AlreadyRunningError, NotRunningError
+from surffollow.service.name_owner import take_name
+from surffollow.shm.name_lock import NameLock
+from surffollow.shm.objects import SHM_ROOT, unlink
+
+
+class Joystick(Block):
+    """A block of a program."""
+
+    x = F64()
+
+
+def hold_as_if_dying(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hold a name as a killed process does, which cannot be seen any more; let go at the first pause."""
+    lock = NameLock.take(name)
+    assert lock is not None
+    (SHM_ROOT / f"{name}.lock").write_text("4194304 1\n")
+    monkeypatch.setattr("surffollow.shm.name_lock.time.sleep", lambda _: lock.abandon())
+
+
+@pytest.mark.parametrize(
+    ("command", "ending", "says"),
+    [(stop_command, "", "no service"), (arbiter_stop_command, ".arbiter", "no arbiter")],
+)
+def test_stop_right_after_a_kill_waits_until_the_kernel_has_taken_the_process_apart(
+    command: click.Command, ending: str, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = unique_name("dying")
+    hold_as_if_dying(name + ending, monkeypatch)
+    try:
+        done = CliRunner().invoke(command, ["--name", name])
+        assert isinstance(done.exception, NotRunningError)
+        assert says in str(done.exception)
+        monkeypatch.undo()
+        hold_as_if_dying(name, monkeypatch)
+        take_name(name).release()  # a start takes it over
+    finally:
+        for lock in (name, name + ending):
+            unlink(f"{lock}.lock")
+
+
+@needs_root
+def test_stop_of_another_users_service_says_whose_it_is(own_service: Service) -> None:
+    def stop(_: OtherUser) -> str:
+        return outcome(lambda: stop_command.main(["--name", own_service.name], standalone_mode=False))
+
+    assert "belongs to another user (0); ask them or root" in as_other_user(stop)
+    os.chown(SHM_ROOT / f"{own_service.name}.lock", 1, 1)
+    said = as_other_user(stop)
+    assert said.startswith("NotRunningError: no service")
+    assert "of this user is running; the lock file of that name belongs to another user (1)" in said
+
+
+def test_a_start_under_the_name_of_a_block_says_that_it_is_one() -> None:
+    space = unique_name("pads")
+    with mem_attach(Joystick, space, write=True), pytest.raises(AlreadyRunningError) as refused:
+        take_name(f"{space}.joystick")
+    assert f"'{space}.joystick' is a block of a program (pid {os.getpid()}), no service" in str(refused.value)
+    assert "surffollow stop" not in str(refused.value)
