@@ -230,6 +230,30 @@ def test_a_sensor_far_behind_crosses_a_valley(trail_m, speed_mps, seed):
     assert own > plain - 0.04 * job.standoff_m  # up to 17 mm below when it was carried on over the trail
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(("trail", "slope", "speed"), [(0.68, 0.58, 0.6), (1.0, 0.67, 0.44), (1.0, 1.0, 0.3)])
+def test_level_ground_behind_a_long_fall_is_no_trough_of_a_wave(trail, slope, speed, seed):
+    """GIVEN a trail of 0.7 or 1 stand-off D WHEN a fall of 20 D ends THEN the tool stays above 0.75 D.
+
+    The sensor sees the end of the fall late. Waves far steeper than the ground fitted the fall over the trail
+    and went on to fall: the least clearance was 0.25 to 0.53 D.
+    """
+    d, tau_s = 0.1, 0.04
+    speed_mps = speed * d / tau_s
+    job = Job(
+        window_m=(0.3 * d, 2.5 * d),
+        v_max_mps=0.5 * d / tau_s,
+        a_max_mps2=1.5 * d / tau_s**2,
+        speed_mps=speed_mps,
+        mount_m=-trail * d,
+    )
+    places = speed_mps * 1e-3 * np.arange(round(28e3 * d / speed_mps))
+    heights = -slope * np.clip(places - 4.0 * d, 0.0, 20.0 * d)
+    least = clearances_m(job, job.follower(), seed, places, heights).min() / d
+    print(f"least clearance {least:.2f} D")
+    assert least > 0.75
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 @pytest.mark.parametrize(
     ("sensor_hz", "speed_mps", "slope", "least"),

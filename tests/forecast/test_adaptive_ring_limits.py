@@ -54,6 +54,26 @@ def test_ground_that_bends_as_the_stand_off_does_is_no_disagreement(deviation_m,
     assert bool(a["beams"]["inconsistent"]) == inconsistent
 
 
+@pytest.mark.parametrize(
+    ("interval_s", "samples"), [(0.001, 25), (0.004, 25), (0.01, 10), (0.032, 5), (0.2, 5)]
+)
+def test_a_disagreement_ends_when_samples_of_100_ms_lie_on_one_plane(interval_s, samples):
+    """They were 25 at any rate: beams by turns disagreed for 20 time constants behind a bend."""
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    params["n_channels"], params["offset_m"], params["gate_m"] = 4, 0.1, 0.5e-3
+    a["plane"]["count"], a["noise"]["sigma_m"], a["prediction"]["interval_s"] = 1, 1e-4, interval_s
+    a["beams"]["t_ns"][:4] = 10**9
+    for c, (x, y) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
+        a["beams"]["footprint_m"][3 * c : 3 * c + 3] = 0.03 * x, 0.03 * y, 0.006 * (x * x - y * y)
+    isolate_faults(params, a, 10**9, 0.0, 0.0)
+    a["beams"]["footprint_m"][2:12:3] = 0.006, 0.0, -0.006, 0.0  # ground that has turned
+    counted = 0
+    while a["beams"]["inconsistent"] and counted < 100:
+        isolate_faults(params, a, 10**9, 0.0, 0.0)
+        counted += 1
+    assert counted == samples
+
+
 def ring(radius_m: float, standoff_m: float) -> Follower:
     sensors = [
         {"near_m": 0.3 * standoff_m, "far_m": 3.0 * standoff_m, "position_m": [*place, 0.0]}

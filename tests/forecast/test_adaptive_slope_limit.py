@@ -82,6 +82,25 @@ def test_falling_ground_that_is_not_seen_counts_as_level(
     assert a["blend"]["model_m"][waves] - 2.1 == pytest.approx(free, abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("max_slope", "interval_s", "level"), [(0.49, 0.004, True), (0.51, 0.004, False), (0.49, 0.2, False)]
+)
+def test_a_wave_that_is_steeper_than_ground_counts_as_level_over_a_trail(max_slope, interval_s, level):
+    """GIVEN waves with slopes of 0.5 at most THEN they rise by themselves where ground is as steep.
+
+    Of a slow sensor it is not known.
+    """
+    a = planes(0.0)
+    waves = slice(WAVES, N_MODELS)
+    a["bank"]["slope"][waves], a["bank"]["curvature"][waves] = -0.3, -0.4 * SCALE[waves]
+    a["sample"]["lead_m"], a["prediction"]["interval_s"], a["plant"]["tau_s"] = -0.004, interval_s, 0.04
+    compute_setpoints(a, 0.005, 0.003, max_slope, 0.1)
+    extrapolate_bank(a["bank"], 0.005)
+    free = a["bank"]["rise_m"][waves] + 0.003 * a["bank"]["slope_ahead"][waves]
+    assert (free < 0.0).all()
+    assert a["blend"]["model_m"][waves] - 2.1 == pytest.approx(free * (0.5 if level else 1.0), abs=1e-12)
+
+
 @pytest.mark.parametrize("ahead_m", [-0.03, 0.004, 0.05])
 @pytest.mark.parametrize("steepest", [0.02, 30.0], ids=["clamped", "free"])
 def test_the_slope_of_the_blend_is_its_derivative(steepest, ahead_m):

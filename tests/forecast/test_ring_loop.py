@@ -131,3 +131,22 @@ def test_a_middle_beam_makes_a_wide_ring_follow_a_pipe():
     print(f"RMS of a square {rms[0]:.3f} D, with a middle beam {rms[1]:.3f} D")
     assert rms[1] < 0.02
     assert {s["health"] for s in states[200:]} == {"OK"}
+
+
+@pytest.mark.parametrize("n", [4, 8])
+def test_beams_by_turns_do_not_disagree_for_long_behind_a_bend(n):
+    """GIVEN good beams, one every 4 ms WHEN a fall becomes a rise THEN they agree after 10 time constants.
+
+    Eight of them disagreed for 20 to 27.
+    """
+
+    def by_turns(t, ranges, _rng):
+        return [r if c == round(250.0 * t) % n else math.nan for c, r in enumerate(ranges)]
+
+    distances, states = follow(
+        ring(n), n * [UPRIGHT], lambda x: 0.3 * (abs(x - 0.8) - 0.8), 4.0, 0.375, misread=by_turns
+    )
+    apart = sum("disagree" in s["reason"] and "majority" in s["reason"] for s in states)
+    print(f"{n} beams disagree for {0.01 * apart / TAU_S:.1f} time constants, least {distances.min():.3f} m")
+    assert 0.01 * apart < 10.0 * TAU_S
+    assert states[-1]["health"] == "OK"

@@ -17,7 +17,14 @@ from surffollow.forecast.attitude.plane_regression import (
 from surffollow.forecast.estimation.noise import assumed_noise_m, estimated_range_noise_m
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import CONFIRMED_SAMPLES, LONG_GAP_NS, MAX_GAP_NS, MISSING_NS, REPEAT_BAND
+from surffollow.forecast.quantities import (
+    CONFIRMED_SAMPLES,
+    LONG_GAP_NS,
+    MAX_GAP_NS,
+    MISSING_NS,
+    PAUSE_NS,
+    REPEAT_BAND,
+)
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
 from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
@@ -241,7 +248,9 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     elif is_bent(adaptive, params.n_channels, max(gate, plausible_bend_m(params, adaptive))):
         # one wrong beam of six or more does not count against all others
         odd = odd_beam(adaptive, params.n_channels, gate) if n > 5 else -1
-        beams.inconsistent = CONFIRMED_SAMPLES if odd < 0 else 0
+        # of a slow ring, or beams by turns, as many as come in the time in which a fault is over
+        interval_ns = max(adaptive.prediction.interval_s * 1e9, PAUSE_NS / CONFIRMED_SAMPLES)
+        beams.inconsistent = max(int(PAUSE_NS / interval_ns), turned) if odd < 0 else 0
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
     good = 0

@@ -27,7 +27,8 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     A model adds its slope times `lead_m`, less the part that it leaves out. The change of height is clamped
     to `max_slope` of the distance, plus 1 mm. Ground that is not seen may rise again where it fell: over the
     trail of a sensor, and over a share of the travel since the newest sample of a slow one, slopes and curves
-    that fall count as level. Waves rise by themselves.
+    that fall count as level. Waves rise by themselves, but one that is steeper than `max_slope` fits a long
+    fall by chance. This is not known of a slow sensor.
 
     Parameters
     ----------
@@ -45,20 +46,23 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     bank, blend, sign = adaptive.bank, adaptive.blend, math.copysign(1.0, ahead_m)
     model_bank.extrapolate_bank(bank, ahead_m)
     margin = 1e-3 + max_slope * (abs(ahead_m) + abs(lead_m))
-    unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
+    unseen_m, steepest = min(max(-adaptive.sample.lead_m, 0.0), ahead_m), max_slope
     if innovation_gate.is_slow(adaptive):
         # with 0 valleys cost 17 instead of 3 mm of clearance (bench_hazards.py, "valley and slow"), with 1 a
         # winch's error is 15 % greater (bench_scales.py)
-        unseen_m = max(unseen_m, 0.5 * ahead_m)
+        unseen_m, steepest = max(unseen_m, 0.5 * ahead_m), math.inf
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
+    slope, curvature, omega = bank.slope, bank.curvature, bank.wave_number
     for i in range(N_MODELS):
         rise, left_out = bank.rise_m[i], adaptive.lead.left_out[i]
         change = rise + lead_m * bank.slope_ahead[i]
         growth = bank.slope_ahead[i] + (1.0 - left_out) * lead_m * bank.bend_ahead[i]
         growth = sign * math.copysign(max_slope, change) if abs(change) > margin else growth
         change, rise = min(max(change, -margin), margin), min(max(rise, -margin), margin)
-        fall = 1.0 - level_share if i < WAVES else 1.0
+        # the greatest slope of a wave is √(θ² + κ²/ω²)
+        rises = i >= WAVES and curvature[i] ** 2 <= (steepest**2 - slope[i] ** 2) * omega[i] ** 2
+        fall = 1.0 if rises else 1.0 - level_share
         growth *= fall if change < 0.0 else 1.0
         change *= fall if change < 0.0 else 1.0
         rise *= fall if rise < 0.0 else 1.0
