@@ -35,7 +35,7 @@ def samples_that_confirm(interval_s: float, rises_on: bool = False) -> int:
     a["gate"]["slot_likelihood"] = 1.0
     for n in range(1, 10):
         a["estimate"]["sample_ns"] += int(interval_s * 1e9)
-        if confirm_by(default_params(), a, 0.01, 1e-4, 1e-3, False, rises_on):
+        if confirm_by(default_params(), a, 0.01, 1e-4, 1e-3, rises_on):
             return n
     return 0
 

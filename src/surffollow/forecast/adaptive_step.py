@@ -72,7 +72,7 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
     ahead_m += motion.speed_mps * ((latch_ns - adaptive.clock.now_ns) * 1e-9 - wait_s)
     known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
-    if preview.update_share(adaptive, known, plant_identification.model_error(adaptive.plant)):
+    if preview.update_share(adaptive, known):
         z, v = plant_identification.predict_axis(params, adaptive.plant, latch_ns)
         preview.extrapolate_ground(adaptive, known, ahead_m)
         standoff_m += tested_setpoint.setpoint_shift_m(adaptive.response)

@@ -5,8 +5,7 @@ import math
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights, noise, setpoint_lead
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
-from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, PAUSE_NS
-from surffollow.forecast.sensing.health import dropout_tolerance_s
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
 from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest
 from surffollow.forecast.terrain.terrain_buffer import store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
@@ -139,7 +138,6 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh)
         return True
     adapt = adapts(params, adaptive)  # else index, weights and noise stay as they are
-    gap = t_ns - estimate.sample_ns > max(PAUSE_NS, dropout_tolerance_s(adaptive.prediction) * 1e9)
     travel = max(travel_m, MIN_SPEED_MPS * dt)
     over_ns = t_ns - int(shadow_axes.compared_lag_s(adaptive) * 1e9)
     comparable = shadow_axes.propagate_shadows(params, adaptive, over_ns)
@@ -157,7 +155,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     # a fall that was expected is part of the innovation, too
     steepest = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)
     rose = gate.nearer != 0
-    decision = innovation_gate.judge_sample(params, adaptive, innovation, travel, steepest, gap)
+    decision = innovation_gate.judge_sample(params, adaptive, innovation, travel, steepest)
     if decision < ACCEPTED:
         return False
     if decision == RESTART:

@@ -38,7 +38,7 @@ from surffollow.shm.layout_adaptive_estimation import ACCEPTED, PENDING, RESTART
 
 
 @jit
-def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
+def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m):
     """Decide on a sample, and note what the next one needs of it.
 
     Parameters
@@ -47,7 +47,6 @@ def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
     innovation_m : float64  innovation ν of the sample [m]
     travel_m : float64      distance travelled d since the sample before [m]
     steepest_m : float64    greatest change of the ground since the last accepted sample [m]
-    gap : bool              the samples paused before: a step needs no travel
 
     Returns
     -------
@@ -58,7 +57,7 @@ def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
     rises_on = gate.nearer != 0 and innovation_m > 0.0
     gate.steepest_rise_m = MAX_SLOPE * steepest_m if rises_on else steepest_m
     _update_travel(params, gate, travel_m)
-    decision = _decide(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on)
+    decision = _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on)
     if decision == ACCEPTED:
         if pending.samples >= params.step_samples:  # enough for a step: they were a slot
             gate.slot_likelihood = 1.0
@@ -78,7 +77,7 @@ def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m, gap):
 
 
 @jit
-def _decide(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on):
+def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
     """Decision on a sample.
 
     With u = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `steepest_m` while
@@ -96,7 +95,7 @@ def _decide(params, adaptive, innovation_m, travel_m, steepest_m, gap, rises_on)
         return WITHHELD
     if not abs(innovation_m) > gate.width_m:  # NaN too: the cycle then begins without knowledge
         return ACCEPTED
-    if not confirm_by(params, adaptive, innovation_m, travel_m, gate.width_m, gap, rises_on):
+    if not confirm_by(params, adaptive, innovation_m, travel_m, gate.width_m, rises_on):
         return PENDING
     return RESTART if adaptive.pending.samples > samples else STEP
 

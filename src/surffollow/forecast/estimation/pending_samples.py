@@ -59,7 +59,7 @@ def _needed(params, adaptive, rises_on):
 
 
 @jit
-def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on):
+def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
     """Hold an outlier as pending; whether the pending samples are a step with it.
 
     Parameters
@@ -68,7 +68,6 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on):
     innovation_m : float64  innovation ν of the sample [m], outside the gate
     travel_m : float64      distance travelled since the sample before [m]
     gate_m : float64        width of the gate [m]
-    gap : bool              the samples paused before: a step needs no travel
     rises_on : bool         this sample is nearer, and the one before was: one sample less is needed
 
     Notes
@@ -93,7 +92,7 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, gap, rises_on):
             pending.opposed += 1 if innovation_m * pending.innovation_m < 0.0 else 0
         pending.samples, pending.t_ns = 0, estimate.sample_ns
         pending.travel_m = pending.innovation_m = pending.arc_length_m = pending.height_m = 0.0
-        travel_m = params.step_travel_m if gap else 0.0
+        travel_m = 0.0
     _add_pending(adaptive, innovation_m, travel_m)
     # a step away from the tool may be a slot; with a bad start, and at rest, there is no travel
     travelled = pending.travel_m >= params.step_travel_m * adaptive.gate.slot_likelihood

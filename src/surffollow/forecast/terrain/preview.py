@@ -5,7 +5,7 @@ import math
 from surffollow.forecast.estimation import model_bank, model_weights
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.modes import adapts
-from surffollow.forecast.plant.axis_model import MAX_MODEL_ERROR_M, PERIOD_S
+from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.quantities import USUAL_SAMPLES
 from surffollow.forecast.terrain import known_ground, terrain_buffer
 from surffollow.shm.jit import jit
@@ -96,7 +96,7 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
 
 
 @jit
-def update_share(adaptive, known, plant_m2):
+def update_share(adaptive, known):
     """Raise or lower preview's share of the setpoint by one controller period; whether a plan is possible.
 
     It needs known ground over the reaction time of the axis, seven periods.
@@ -105,13 +105,11 @@ def update_share(adaptive, known, plant_m2):
     ----------
     adaptive : record of `AdaptiveState` (`preview` updated)
     known : int         known periods of ground
-    plant_m2 : float64  squared error of the best axis model [m²]
     """
     # ground that is known from channel 0: an uncertain plan is better than none
     preview, leads, enough = adaptive.preview, terrain_buffer.sensor_leads(adaptive), known >= 7
     sure = adaptive.clock.now_ns >= preview.suspended_until_ns and known_ground.is_useful(adaptive)
-    trusted = leads or sure
-    usable = enough and trusted and plant_m2 < MAX_MODEL_ERROR_M**2
+    usable = enough and (leads or sure)
     preview.share += 0.15 if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0
