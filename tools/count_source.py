@@ -1,7 +1,9 @@
-"""Count lines of code and named constants of the follower, per stage.
+"""Count lines of code, named constants and other numbers of the follower, per stage.
 
 A line of code holds something besides comments, docstrings and blanks. A named constant is an upper-case name
-that a module assigns; names that several modules share count once.
+that a module assigns; names that several modules share count once. Other numbers are those written in
+functions: each is a constant without a name, but for 0.5, the numbers of coordinates and
+of a pose, and powers of ten.
 
     python tools/count_source.py [--json] [PACKAGE]
 """
@@ -12,6 +14,7 @@ import argparse
 import ast
 import io
 import json
+import math
 import tokenize
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +28,7 @@ SILENT = {
     tokenize.DEDENT,
     tokenize.ENDMARKER,
 }
+STRUCTURAL = {0, 0.5, 1, 2, 3, 7}  # halves, sums, squares, coordinates and numbers of a pose
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
 
 
@@ -62,6 +66,14 @@ def constants(source: str) -> set[str]:
     return found
 
 
+def unnamed_numbers(source: str) -> int:
+    """Numbers written in functions that are neither structural nor factors of units."""
+    functions = [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef)]
+    found = {n for f in functions for n in ast.walk(f) if isinstance(n, ast.Constant)}
+    values = [n.value for n in found if isinstance(n.value, int | float) and not isinstance(n.value, bool)]
+    return sum(abs(v) not in STRUCTURAL and not math.log10(abs(v)).is_integer() for v in values)
+
+
 def count(package: Path) -> dict[str, dict[str, int]]:
     """Modules, lines of code and constants per folder of a package, and of all of it."""
     stages: dict[str, dict[str, int]] = {}
@@ -69,9 +81,10 @@ def count(package: Path) -> dict[str, dict[str, int]]:
     for path in sorted(package.rglob("*.py")):
         source = path.read_text()
         for stage in (str(path.parent.relative_to(package)), "all"):
-            row = stages.setdefault(stage, {"modules": 0, "lines": 0, "constants": 0})
+            row = stages.setdefault(stage, {"modules": 0, "lines": 0, "constants": 0, "numbers": 0})
             row["modules"] += 1
             row["lines"] += count_lines(source)
+            row["numbers"] += unnamed_numbers(source)
             names.setdefault(stage, set()).update(constants(source))
             row["constants"] = len(names[stage])
     stages["all"] = stages.pop("all")
@@ -90,9 +103,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.json:
         print(json.dumps(stages, indent=1))
         return 0
-    print(f"{'stage':<12} modules  lines  constants")
+    print(f"{'stage':<12} modules  lines  constants  numbers")
     for stage, row in stages.items():
-        print(f"{stage:<12} {row['modules']:>7} {row['lines']:>6} {row['constants']:>10}")
+        print(f"{stage:<12} {row['modules']:>7} {row['lines']:>6} {row['constants']:>10} {row['numbers']:>8}")
     return 0
 
 

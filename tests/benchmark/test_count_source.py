@@ -40,6 +40,11 @@ def test_lines_without_comments_docstrings_and_blanks_count():
     assert count_source.constants(SOURCE) == {"A_M", "B", "_C"}
 
 
+def test_numbers_in_functions_count_but_for_structure_and_units():
+    assert count_source.unnamed_numbers(SOURCE) == 0
+    assert count_source.unnamed_numbers("A = 5\ndef f(x):\n    return 0.3 * x + 2 * 1e-9 * x[7] - 4.0\n") == 2
+
+
 def test_the_follower_is_counted_by_stage(capsys: pytest.CaptureFixture[str]) -> None:
     assert count_source.main(["--json"]) == 0
     stages = json.loads(capsys.readouterr().out)
