@@ -314,6 +314,53 @@ def test_a_clock_that_is_set_back_by_less_than_a_second_is_followed_within_a_dro
     assert abs(walk.demands[-1] - before) < 2e-4
 
 
+@pytest.mark.parametrize("back_ms", [150, 300, 800])
+def test_poses_that_are_given_twice_are_followed_when_the_clock_is_set_back(back_ms):
+    """GIVEN a caller that gives the last report at every tick WHEN all clocks go back THEN it is followed."""
+    walk = Walk()
+    pose = walk.f.pose
+
+    def twice(t_ns, tool):
+        return pose(t_ns, tool) or pose(t_ns, tool)
+
+    walk.f.pose = twice
+    walk.go(2000)
+    before = walk.demands[-1]
+    walk.go(150, -back_ms, pose_ahead_ms=-back_ms)
+    assert "CLOCK" in walk.f.state()["faults"]
+    assert walk.go(1000, -back_ms, pose_ahead_ms=-back_ms) == (True, "OK", "")
+    assert abs(walk.demands[-1] - before) < 2e-4
+
+
+@pytest.mark.parametrize("back_ms", [150, 300, 800])
+def test_a_clock_of_poses_alone_that_is_set_back_ends_no_demand_for_good(back_ms):
+    """GIVEN readings of another clock WHEN poses and steps without one go back THEN it follows again."""
+    walk = Walk()
+    for now in range(6000):
+        t_ns, back_ns = 10**13 + now * MS, back_ms * MS * (now > 2000)
+        if now % 4 == 0:
+            tool = (1e-4 * now, 0.0, STANDOFF_M + 1e-5 * now, 0.0, 0.0, 0.0, 1.0)
+            walk.f.pose(t_ns - back_ns, tool)
+        elif now % 4 == 2:
+            walk.f.step(t_ns, [STANDOFF_M + 1e-4 * walk.rng.standard_normal()])
+        elif now % 4 == 3:
+            walk.f.step(t_ns - back_ns, [np.nan])
+    assert "VALID" in walk.f.state()["status"]
+
+
+def test_a_late_route_of_poses_does_not_take_over_in_a_pause_of_the_other():
+    """GIVEN a second route of poses 0.2 s late WHEN the first one pauses for 0.15 s THEN it stays refused."""
+    walk = Walk()
+    walk.go(2000)
+    for _ in range(20):
+        for poses in [False] * 15 + [True] * 30:
+            walk.go(10, poses=poses)
+            late_ms = walk.ms - 200
+            tool = (1e-4 * late_ms, 0.0, STANDOFF_M + 1e-5 * late_ms, 0.0, 0.0, 0.0, 1.0)
+            assert not walk.f.pose(10**13 + late_ms * MS, tool)
+    assert walk.f.state()["faults"] == []
+
+
 def test_poses_that_were_overtaken_do_not_begin_anything_anew():
     """GIVEN two routes of poses WHEN poses of one are 0.2 s late THEN these are refused, without a fault."""
     walk = Walk()

@@ -213,7 +213,7 @@ class Follower:
         answer = int(report_pose(self._state, self._stepped_ns, t, p))
         if answer == CLOCK_SET:
             self._latest_ns = t
-            self._stamps.time.follow(t)
+            self._stamps.time.newest_ns = t
         if answer != REFUSED:
             self._pose_intervals.check(t)
             self._stamps.note_pose(t)

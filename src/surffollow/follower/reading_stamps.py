@@ -90,19 +90,9 @@ class ReferenceTime:
             self.newest_ns = t_ns
             self.count += 1
         elif interval_ns < -max(DEVIATIONS * self.interval_ns, self.jump_ns):
-            self.follow(t_ns)
-
-    def follow(self, t_ns: int) -> None:
-        """Follow a clock that was set.
-
-        Parameters
-        ----------
-        t_ns : int
-            timestamp by that clock [ns]
-        """
-        restarts = self.restarts + 1
-        self.restart(t_ns)
-        self.restarts = restarts
+            restarts = self.restarts + 1
+            self.restart(t_ns)
+            self.restarts = restarts
 
 
 class ReadingStamps:

@@ -112,7 +112,9 @@ def is_set_back(sense, t_ns, gap_ns):
     t_ns : int64                    timestamp of the report, not newer than the newest one
     gap_ns : int64                  longest gap that is no drop-out [ns]
     """
-    if sense.back_count == 0 or t_ns <= sense.back_newest_ns:
+    if sense.back_count != 0 and t_ns == sense.back_newest_ns:
+        return False  # a report that is given twice
+    if sense.back_count == 0 or t_ns < sense.back_newest_ns:
         sense.back_count, sense.back_first_ns = 0, t_ns
     sense.back_newest_ns = t_ns
     sense.back_count += 1
@@ -140,7 +142,8 @@ def report_pose(state, step_ns, t_ns, pose):
     if sense.pose_count > 0 and t_ns <= sense.pose_t_ns[newest_pose(sense)]:
         newest = sense.pose_t_ns[newest_pose(sense)]
         jump_ns = inputs_ns(state[0].scaled, LONG_GAP_NS)
-        begun = is_set_back(sense, t_ns, inputs_ns(state[0].scaled, MAX_GAP_NS))
+        # a step in between that is as new says that this route of poses is late
+        begun = is_set_back(sense, t_ns, inputs_ns(state[0].scaled, MAX_GAP_NS)) and step_ns < newest
         begun = begun or (t_ns <= newest - jump_ns and newest > max(t_ns, step_ns) + jump_ns)
         if not begun:
             sense.poses_refused += 1
