@@ -230,6 +230,20 @@ def test_a_sensor_far_behind_crosses_a_valley(trail_m, speed_mps, seed):
     assert own > plain - 0.04 * job.standoff_m  # up to 17 mm below when it was carried on over the trail
 
 
+@pytest.mark.parametrize(("trail_m", "amplitude_m", "wavelength_m"), [(0.06, 0.01, 0.12), (0.05, 0.008, 0.1)])
+def test_a_steep_wave_under_a_trailing_sensor_is_learned(trail_m, amplitude_m, wavelength_m):
+    """GIVEN a pure sine WHEN a sensor has trailed over it for 3 m THEN the error is far below a P loop's.
+
+    Waves that counted as level got no weight, and the slope of the blend kept them level: 0.6 of a P loop.
+    """
+    job = Job(mount_m=-trail_m, v_max_mps=0.6, a_max_mps2=20.0, speed_mps=0.3, window_m=(0.03, 0.3))
+    places = 0.3e-3 * np.arange(14_000)
+    heights = amplitude_m * np.sin(2.0 * math.pi / wavelength_m * places)
+    plain, own = (clearances_m(job, f, 1, places, heights)[10_000:].std() for f in (None, job.follower()))
+    print(f"standard deviation of the clearance {1e3 * own:.2f} mm, P loop {1e3 * plain:.2f} mm")
+    assert own < 0.2 * plain
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("trail", "slope", "speed"), [(0.68, 0.58, 0.6), (1.0, 0.67, 0.44), (1.0, 1.0, 0.3)])
 def test_level_ground_behind_a_long_fall_is_no_trough_of_a_wave(trail, slope, speed, seed):

@@ -68,7 +68,7 @@ def test_falling_ground_that_is_not_seen_counts_as_level(
     slope, trail_m, interval_s, ahead_m, lead_m, level_m
 ):
     a = planes(slope)
-    a["sample"]["lead_m"] = -trail_m
+    a["sample"]["lead_m"], a["estimate"]["quick_slope_power"] = -trail_m, 1.0
     a["prediction"]["interval_s"], a["plant"]["tau_s"] = interval_s, 0.04
     compute_setpoints(a, ahead_m, lead_m, 3.0, 0.1)
     straight = np.flatnonzero(BANK[:CURVES, 0] > 1.0)
@@ -83,9 +83,9 @@ def test_falling_ground_that_is_not_seen_counts_as_level(
 
 
 @pytest.mark.parametrize(
-    ("max_slope", "interval_s", "level"), [(0.49, 0.004, True), (0.51, 0.004, False), (0.49, 0.2, False)]
+    ("steepest", "interval_s", "level"), [(0.49, 0.004, True), (0.51, 0.004, False), (0.49, 0.2, False)]
 )
-def test_a_wave_that_is_steeper_than_ground_counts_as_level_over_a_trail(max_slope, interval_s, level):
+def test_a_wave_that_is_steeper_than_ground_counts_as_level_over_a_trail(steepest, interval_s, level):
     """GIVEN waves with slopes of 0.5 at most THEN they rise by themselves where ground is as steep.
 
     Of a slow sensor it is not known.
@@ -94,7 +94,8 @@ def test_a_wave_that_is_steeper_than_ground_counts_as_level_over_a_trail(max_slo
     waves = slice(WAVES, N_MODELS)
     a["bank"]["slope"][waves], a["bank"]["curvature"][waves] = -0.3, -0.4 * SCALE[waves]
     a["sample"]["lead_m"], a["prediction"]["interval_s"], a["plant"]["tau_s"] = -0.004, interval_s, 0.04
-    compute_setpoints(a, 0.005, 0.003, max_slope, 0.1)
+    a["estimate"]["quick_slope_power"] = (steepest / 3.0) ** 2
+    compute_setpoints(a, 0.005, 0.003, 3.0, 0.1)
     extrapolate_bank(a["bank"], 0.005)
     free = a["bank"]["rise_m"][waves] + 0.003 * a["bank"]["slope_ahead"][waves]
     assert (free < 0.0).all()

@@ -182,6 +182,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     innovation_gate.note_remainder(params, adaptive, h_m - estimate.height_m)
     share = 1.0 - math.exp(-way / 1.0)  # a mean over a metre
     estimate.slope_power += share * (estimate.slope * estimate.slope - estimate.slope_power)
+    quick = bank.slope[model_bank.QUICK]
+    estimate.quick_slope_power += share * (quick * quick - estimate.quick_slope_power)
     if adaptive.weights.scored == 0:
         shadow_axes.reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)
     estimate.samples += 1

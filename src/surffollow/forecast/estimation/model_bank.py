@@ -32,6 +32,7 @@ BANK: Any = np.array(
     + [(2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in 0.6 * BAND ** (-2.0 * np.arange(8))]
 )
 assert len(BANK) == N_MODELS
+QUICK = 4  # a slope that follows the ground within a few millimetres, with little noise
 SCALE = BANK[:, 0].copy()  # length of decay [m]; of a wave the middle of its band [1/m]
 # spectral densities of height, slope, curvature over arc length; a wave's amplitude has noise of its slope
 NOISE_DENSITY = np.zeros((3, N_MODELS))

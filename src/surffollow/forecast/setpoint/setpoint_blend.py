@@ -20,6 +20,12 @@ def dropout_s(adaptive):
     return since_s - quantities.tolerated_gap_s(adaptive.prediction.interval_s, quantities.MISSING_NS)
 
 
+@jit
+def slope_limit(power):
+    """Greatest slope that is plausible beside a mean squared one."""
+    return max(quantities.PLAUSIBLE_SLOPE, 3.0 * math.sqrt(power))
+
+
 @jit_inlined
 def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """Setpoints of all models `ahead_m` beyond the newest footprint; their blend and its slope.
@@ -27,8 +33,9 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     A model adds its slope times `lead_m`, less the part that it leaves out. The change of height is clamped
     to `max_slope` of the distance, plus 1 mm. Ground that is not seen may rise again where it fell: over the
     trail of a sensor, and over a share of the travel since the newest sample of a slow one, slopes and curves
-    that fall count as level. Waves rise by themselves, but one that is steeper than `max_slope` fits a long
-    fall by chance. This is not known of a slow sensor.
+    that fall count as level. Waves rise by themselves, but one that is steeper than the ground fits a long
+    fall by chance. The ground's slope is that of a model whatever its weight: waves that count as level get
+    none. This is not known of a slow sensor.
 
     Parameters
     ----------
@@ -46,7 +53,8 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     bank, blend, sign = adaptive.bank, adaptive.blend, math.copysign(1.0, ahead_m)
     model_bank.extrapolate_bank(bank, ahead_m)
     margin = 1e-3 + max_slope * (abs(ahead_m) + abs(lead_m))
-    unseen_m, steepest = min(max(-adaptive.sample.lead_m, 0.0), ahead_m), max_slope
+    unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
+    steepest = slope_limit(adaptive.estimate.quick_slope_power)
     if innovation_gate.is_slow(adaptive):
         # with 0 valleys cost 17 instead of 3 mm of clearance (bench_hazards.py, "valley and slow"), with 1 a
         # winch's error is 15 % greater (bench_scales.py)
@@ -115,7 +123,7 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m):
     if turned:  # along the way of the newest sample
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
     # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre
-    max_slope = max(quantities.PLAUSIBLE_SLOPE, 3.0 * math.sqrt(estimate.slope_power))
+    max_slope = slope_limit(estimate.slope_power)
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     # a fall that samples have followed for 150 ms, or over this travel, is no slot
     recent = estimate.accepted_ns - gate.step_ns < 150_000_000
