@@ -80,7 +80,9 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         ("innovation_gate", "max(0.3 * gate.slot_likelihood", "max(1.0 * gate.slot_likelihood")
     ],
     "settling after a start or a loss": [("estimate", "t_ns + 60_000_000", "t_ns + 0")],
-    "clamp of the slope": [("setpoint_blend", "3.0 * math.sqrt(estimate", "1e6 * math.sqrt(estimate")],
+    "clamp of the slope": [
+        ("setpoint_blend", "max_slope = slope_limit(estimate.slope_power)", "max_slope = 1e6")
+    ],
     "step taken back in a loss": [
         (
             "setpoint_blend",
