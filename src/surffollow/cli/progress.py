@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import select
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -13,9 +15,34 @@ import click
 from surffollow.shm.ending_signals import handle_ending
 
 
+class _SignalledEvent(threading.Event):
+    """An event that a signal handler may set while the same thread waits for it.
+
+    A `threading.Event` takes a lock to wait and to be set: the handler would wait for ever.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._signalled = False
+        self._read_fd, self._write_fd = os.pipe()
+        os.set_blocking(self._write_fd, False)
+
+    def set(self) -> None:
+        self._signalled = True
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._write_fd, b"0")
+
+    def is_set(self) -> bool:
+        return self._signalled
+
+    def wait(self, timeout: float | None = None) -> bool:
+        select.select([self._read_fd], [], [], timeout)
+        return self._signalled
+
+
 def stop_event() -> threading.Event:
     """An event that Ctrl-C, SIGTERM and SIGHUP set, instead of ending the process."""
-    stop = threading.Event()
+    stop = _SignalledEvent()
     handle_ending(lambda *_: stop.set())
     return stop
 
