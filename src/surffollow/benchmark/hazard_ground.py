@@ -51,9 +51,13 @@ def make_ground(s: Scenario) -> Ground:
     x = -MARGIN_M + STEP_M * np.arange(int((max(begin_m, turn_m) + 2.0 * MARGIN_M) / STEP_M))
     make: Any = (hull, lap_joints, terrain)[s.seed % 3]
     kind = KINDS[s.family]
-    before, behind = np.maximum(begin_m - x, 0.0), np.maximum(x - begin_m, 0.0)
-    shapes = {kind.rises: behind, kind.levels: before, kind.valley: before + behind}
-    rise = shapes.get(True, x)
+    rise = x
+    if kind.rises:
+        rise = np.maximum(x - begin_m, 0.0)
+    elif kind.valley:
+        rise = np.abs(x - begin_m)
+    elif kind.levels:
+        rise = np.maximum(begin_m - x, 0.0)
     later = make(rng, x) + s.slope * rise
     first = later.copy()
     if s.family == "slots":  # groups of five, 2 to 6 mm wide

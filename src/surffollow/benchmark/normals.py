@@ -16,9 +16,8 @@ from surffollow.benchmark.scene import START_NS
 
 RADIUS_M = 0.04
 TILT = (0.06, -0.04)  # slopes of the plane along x and y
-WAY_SHARE = (
-    0.5  # of the way from the stand-off to the nearer end of the window, for the readings of the circle
-)
+# of the way from the stand-off to the nearer end of the window, for the readings of the circle
+WAY_SHARE = 0.5
 SETTLE_MS, SCORED_MS = 1000, 2000
 
 

@@ -25,7 +25,6 @@ from surffollow.service.shared_objects import SharedObjects
 from surffollow.shm import layout_board as lb
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.dtypes import numpy_dtype
-from surffollow.shm.python_atomics import load_acquire
 from surffollow.shm.ring import ring_drop, ring_peek
 
 PER_LOOK = 4096  # entries taken at once: the main thread has other work
@@ -83,7 +82,7 @@ class AuditTrail:
     @property
     def lost(self) -> int:
         """Entries that found no room in the queue, and lines that found none in the log."""
-        return int(load_acquire(self._ctx.ctypes.data + 8 * m.CHANGES_LOST)) + self._unreported
+        return m.load_word(self._ctx, m.CHANGES_LOST) + self._unreported
 
     def publish(self) -> None:
         """Take what is queued, a bounded number."""

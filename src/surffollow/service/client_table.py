@@ -20,7 +20,7 @@ from surffollow.shm import sealed
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
-from surffollow.shm.python_atomics import load_acquire, store_release
+from surffollow.shm.python_atomics import store_release
 
 _STEP = latch_bytes(lb.ClientInfo.SIZE)
 # a thread that saw a slot in use has left the pass in which it did so when its counter grew by two
@@ -199,7 +199,7 @@ class ClientTable:
                 del self._retired[slot]
 
     def _now(self) -> tuple[int, int]:
-        return self._cycles(), int(load_acquire(self._ctx.ctypes.data + 8 * m.MAP_PASSES))
+        return self._cycles(), m.load_word(self._ctx, m.MAP_PASSES)
 
     def _publish(self, slot: int, client: ClientId | None) -> None:
         info: Any = self._info[0]

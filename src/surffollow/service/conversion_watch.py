@@ -18,7 +18,6 @@ from surffollow.shm.conversion import ITEM_WORDS, conversion_channel
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_board import Stats
 from surffollow.shm.layout_follow import MAX_CONVERSIONS
-from surffollow.shm.python_atomics import load_acquire
 from surffollow.shm.ring import ITEMS as RING_ITEMS
 from surffollow.shm.ring import ring_drop, ring_length
 
@@ -98,22 +97,20 @@ def conversion_notes(ctx: NDArray[np.int64]) -> list[str]:
     list of str
     """
 
-    def word(index: int) -> int:
-        return int(load_acquire(ctx.ctypes.data + 8 * index))
-
     def noted(index: int) -> bool:
-        return word(index) != 0 and time.monotonic_ns() - word(index) < NOTED_NS
+        seen_ns = m.load_word(ctx, index)
+        return seen_ns != 0 and time.monotonic_ns() - seen_ns < NOTED_NS
 
     notes = []
     if noted(m.OFF_SEEN_NS):
-        off_ns = word(m.OFF_BY_NS)
+        off_ns = m.load_word(ctx, m.OFF_BY_NS)
         side = "behind" if off_ns < 0 else "ahead of"
         notes.append(
             f"the driver's timestamps lie {1e-9 * abs(off_ns):.1f} s {side} CLOCK_MONOTONIC; "
             "give time.monotonic_ns()"
         )
     if noted(m.WRONG_CHANNEL_NS):
-        n_channels, channel = divmod(word(m.WRONG_CHANNEL), 256)
+        n_channels, channel = divmod(m.load_word(ctx, m.WRONG_CHANNEL), 256)
         notes.append(
             f"channel {channel} of the driver is not one of its {n_channels} channels (the first is 0); "
             "what it gives there is refused"

@@ -22,7 +22,7 @@ from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_follow import CHANNELS, STOP_DRIVER
-from surffollow.shm.python_atomics import load_acquire, store_release
+from surffollow.shm.python_atomics import store_release
 
 # SERVICE_FAULT_NAMES
 FAULT_DRIVER, FAULT_CYCLE_STALLED, FAULT_SAMPLES_LOST, FAULT_SLOTS, FAULT_HOUSEKEEPING = 1, 2, 4, 8, 16
@@ -97,7 +97,7 @@ class Heartbeat:
         t = self._published[0]
         t["t_ns"], t["pose_slot"], t["pose_pid"] = reported_ns, pose_slot, sender.pid if sender else 0
         for c in range(CHANNELS):
-            slot = int(load_acquire(self._ctx.ctypes.data + 8 * (m.RANGE_SLOT + c)))
+            slot = m.load_word(self._ctx, m.RANGE_SLOT + c)
             pusher = clients.holder_of(slot)
             t["range_slot"][c], t["range_pid"][c] = slot, pusher.pid if pusher else 0
         t["clients"], t["granted"], t["faults"] = clients.held(), self._grants.bits, faults

@@ -19,6 +19,7 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.journal import CYCLE_MAX, SNAPSHOT_WORDS
 from surffollow.shm.layout_board import AUDIT_ENTRY_WORDS, CLIENTS, REQUEST_ARGS, Ack, PosePost, RequestPost
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
+from surffollow.shm.python_atomics import load_acquire
 
 (
     STOP,  # main → threads: end
@@ -130,6 +131,17 @@ def bounds_table() -> NDArray[np.float64]:
         bounds = (spec.low, spec.high)
         table[Params.offset(name) // 8] = (2.0 if whole else 1.0, *bounds, *bounds)
     return table
+
+
+def load_word(ctx: NDArray[np.int64], index: int) -> int:
+    """A word that the service's threads share, with all that was written before it (from Python).
+
+    Parameters
+    ----------
+    ctx : (n,) int64   the words
+    index : int        of one of them
+    """
+    return int(load_acquire(ctx.ctypes.data + 8 * index))
 
 
 def make_cycle_memory(header: Any = None, pairs: Any = None, pushed: Any = None) -> CycleMemory:

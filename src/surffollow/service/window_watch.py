@@ -22,7 +22,6 @@ from surffollow.shm.conversion import (
 )
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import CHANNELS
-from surffollow.shm.python_atomics import load_acquire
 
 NOTED_RUN = 10  # distances in a row outside the window that are no single stray ones
 
@@ -71,16 +70,13 @@ def window_notes(ctx: NDArray[np.int64]) -> list[str]:
     list of str
     """
 
-    def word(index: int) -> int:
-        return int(load_acquire(ctx.ctypes.data + 8 * index))
-
     notes = []
     for c in range(CHANNELS):
-        run = word(m.OUTSIDE + c)
+        run = m.load_word(ctx, m.OUTSIDE + c)
         if run < NOTED_RUN:
             continue
         last_m, near_m, far_m = (
-            1e-6 * word(index) for index in (m.OUTSIDE_UM + c, m.WINDOW_UM, m.WINDOW_UM + 1)
+            1e-6 * m.load_word(ctx, index) for index in (m.OUTSIDE_UM + c, m.WINDOW_UM, m.WINDOW_UM + 1)
         )
         notes.append(
             f"channel {c}: the latest {run} distances are outside the window {near_m:g} to {far_m:g} m, the "
