@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -18,30 +19,31 @@ from surffollow.shm.ending_signals import handle_ending
 class _SignalledEvent(threading.Event):
     """An event that a signal handler may set while the same thread waits for it.
 
-    A `threading.Event` takes a lock to wait and to be set: the handler would wait for ever.
+    A `threading.Event` takes a lock to wait and to be set: the handler would wait for ever. A signal just
+    before the wait ends it by a byte in the pipe: its handler runs later.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._signalled = False
-        self._read_fd, self._write_fd = os.pipe()
-        os.set_blocking(self._write_fd, False)
+        self._read_fd, write_fd = os.pipe()
+        os.set_blocking(write_fd, False)
+        signal.set_wakeup_fd(write_fd, warn_on_full_buffer=False)
 
     def set(self) -> None:
         self._signalled = True
-        with contextlib.suppress(BlockingIOError):
-            os.write(self._write_fd, b"0")
 
     def is_set(self) -> bool:
         return self._signalled
 
     def wait(self, timeout: float | None = None) -> bool:
-        select.select([self._read_fd], [], [], timeout)
+        if not self._signalled and select.select([self._read_fd], [], [], timeout)[0]:
+            os.read(self._read_fd, 64)  # also of a signal that sets nothing
         return self._signalled
 
 
 def stop_event() -> threading.Event:
-    """An event that Ctrl-C, SIGTERM and SIGHUP set, instead of ending the process."""
+    """An event that Ctrl-C, SIGTERM and SIGHUP set, instead of ending the process (main thread only)."""
     stop = _SignalledEvent()
     handle_ending(lambda *_: stop.set())
     return stop
