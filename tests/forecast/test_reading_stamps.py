@@ -348,6 +348,22 @@ def test_a_clock_of_poses_alone_that_is_set_back_ends_no_demand_for_good(back_ms
     assert "VALID" in walk.f.state()["status"]
 
 
+def test_a_clock_that_is_right_again_soon_is_waited_for():
+    """GIVEN clocks that go back by less than two drop-outs THEN the estimate does not begin anew."""
+    walk = Walk()
+    walk.go(2000)
+    walk.go(500, -90, pose_ahead_ms=-90)
+    assert walk.f.state()["faults"] == []
+
+
+def test_two_late_poses_in_a_row_are_refused_where_poses_are_rare():
+    """GIVEN poses every 0.1 s WHEN two come late THEN the history does not begin anew, with a third it does."""
+    f = Follower({"sensors": [{"near_m": NEAR_M, "far_m": FAR_M}]}, STANDOFF_M)
+    tool = (0.0, 0.0, STANDOFF_M, 0.0, 0.0, 0.0, 1.0)
+    assert all(f.pose(10**13 + 100 * k * MS, tool) for k in range(20))
+    assert [f.pose(10**13 + 100 * k * MS, tool) for k in (14, 15, 16)] == [False, False, True]
+
+
 def test_a_late_route_of_poses_does_not_take_over_in_a_pause_of_the_other():
     """GIVEN a second route of poses 0.2 s late WHEN the first one pauses for 0.15 s THEN it stays refused."""
     walk = Walk()

@@ -112,9 +112,7 @@ def is_set_back(sense, t_ns, gap_ns):
     t_ns : int64                    timestamp of the report, not newer than the newest one
     gap_ns : int64                  longest gap that is no drop-out [ns]
     """
-    if sense.back_count != 0 and t_ns == sense.back_newest_ns:
-        return False  # a report that is given twice
-    if sense.back_count == 0 or t_ns < sense.back_newest_ns:
+    if sense.back_count == 0 or t_ns < sense.back_newest_ns:  # a report may be given twice
         sense.back_count, sense.back_first_ns = 0, t_ns
     sense.back_newest_ns = t_ns
     sense.back_count += 1
