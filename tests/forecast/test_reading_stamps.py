@@ -357,7 +357,7 @@ def test_a_clock_that_is_right_again_soon_is_waited_for():
 
 
 def test_two_late_poses_in_a_row_are_refused_where_poses_are_rare():
-    """GIVEN poses every 0.1 s WHEN two come late THEN the history does not begin anew, with a third it does."""
+    """GIVEN poses every 0.1 s WHEN two come late THEN the history goes on; with a third it begins anew."""
     f = Follower({"sensors": [{"near_m": NEAR_M, "far_m": FAR_M}]}, STANDOFF_M)
     tool = (0.0, 0.0, STANDOFF_M, 0.0, 0.0, 0.0, 1.0)
     assert all(f.pose(10**13 + 100 * k * MS, tool) for k in range(20))
