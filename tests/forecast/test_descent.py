@@ -173,6 +173,7 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
         a["response"]["settled_ns"] = (k * 4 + 100) * MS if comes_back else 0
         a["estimate"]["samples"] = k
         tested_m = observe_descent(params, a, k * 4 * MS, r, z)
+        a["response"]["t_ns"] = k * 4 * MS
         if k == 1:
             mean = low = high = r
             floor = top = z

@@ -146,7 +146,6 @@ class Repeats(Schema):
 class Descent(Schema):
     """Descent of the tool, and the ranges in it (`descent`)."""
 
-    t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none")
     samples = I64(doc="samples in it")
     standoff_m = F64(unit="m", doc="stand-off in it")
     changed_ns = I64(unit="ns", doc="timestamp of the sample at which that was set")

@@ -89,9 +89,7 @@ def sign_of_fault(adaptive, motion_m):
     """
     run, lag_s, band_m = adaptive.run, adaptive.plant.tau_s, mean_range.range_band_m(adaptive)
     number = mean_range.mean_samples(adaptive)
-    if (
-        number <= mean_range.MIN_READINGS
-    ):  # over falling ground a slow sensor is late by a part of its interval
+    if number <= mean_range.MIN_READINGS:  # over falling ground a slow sensor is late by part of its interval
         lag_s += adaptive.prediction.interval_s
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M

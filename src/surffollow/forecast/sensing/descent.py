@@ -61,15 +61,14 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     -------
     float64  half the spread ±B of the ranges, if the descent is to be tested [m]; 0: it is not
     """
-    descent, interval_s = adaptive.descent, adaptive.prediction.interval_s
+    descent, before_ns, interval_s = adaptive.descent, adaptive.response.t_ns, adaptive.prediction.interval_s
     number, band = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
     share_m = TESTED_SHARE * params.offset_m
-    if descent.t_ns == 0 or not 0 < t_ns - descent.t_ns < LONG_GAP_NS:
+    if before_ns == 0 or not 0 < t_ns - before_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
         descent.standoff_m, descent.changed_ns = params.offset_m, t_ns - LONG_GAP_NS
         begin_descent(adaptive, tool_z_m, share_m)
-    descent.t_ns = t_ns
     if params.offset_m != descent.standoff_m:
         descent.standoff_m, descent.changed_ns = params.offset_m, t_ns
     changing = t_ns - descent.changed_ns < 1e9 * answer_s(adaptive, MIN_MEANS)  # on its way to a stand-off
@@ -93,7 +92,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     spread_m = max(0.5 * (descent.most_m - descent.least_m), band)
     unexplained = _is_unexplained(params, adaptive, tool_z_m, spread_m)
     descent.unexplained = 1 if unexplained else 0
-    if not unexplained or not _is_testable(params, adaptive, tool_z_m, spread_m):
+    if not unexplained or not _is_testable(params, adaptive, t_ns, tool_z_m, spread_m):
         return 0.0
     descent.reach_m *= 2.0
     return spread_m
@@ -120,7 +119,7 @@ def _is_unexplained(params, adaptive, tool_z_m, spread_m):
 
 
 @jit
-def _is_testable(params, adaptive, tool_z_m, spread_m):
+def _is_testable(params, adaptive, t_ns, tool_z_m, spread_m):
     """Whether an unexplained descent is to be tested, as in `observe_descent`.
 
     The answer must stand out from the spread, and come in time: with few samples it is late. The ground falls
@@ -129,6 +128,7 @@ def _is_testable(params, adaptive, tool_z_m, spread_m):
     Parameters
     ----------
     params, adaptive, tool_z_m, spread_m : as in `_is_unexplained`
+    t_ns : int64  timestamp of the sample
     """
     descent, response, estimate = adaptive.descent, adaptive.response, adaptive.estimate
     known = estimate.samples * adaptive.prediction.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
@@ -138,11 +138,11 @@ def _is_testable(params, adaptive, tool_z_m, spread_m):
     has_room = descent.error_m + SWINGS[1] * spread_m + falls_m < params.range_max_m - params.offset_m
     steeper = descent.top_z_m - tool_z_m > STEEPER * descent.slope * descent.travel_m
     deep = steeper and tool_z_m < descent.floor_z_m - descent.reach_m
-    idle = response.phase == RESPONSE_RUN and descent.t_ns >= response.settled_ns
+    idle = response.phase == RESPONSE_RUN and t_ns >= response.settled_ns
     return known and quick and narrow and has_room and deep and idle
 
 
 @jit
 def reset_descent(descent):
-    """Begin anew with the next sample."""
-    descent.t_ns = descent.unexplained = 0
+    """Take the descent as explained; it begins anew with the response."""
+    descent.unexplained = 0
