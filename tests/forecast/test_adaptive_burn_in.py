@@ -157,7 +157,7 @@ def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
     rising = (BANK[:, 1] > 0.0) & (np.arange(N_MODELS) < WAVES)
     a["bank"]["slope"][rising] = 0.2
     a["bank"]["wave_number"] = SCALE
-    blend_setpoints(default_params(), a, 0, 0.0, 0.1)
+    blend_setpoints(default_params(), a, 0.0, 0.1)
     targets = a["blend"]["axis_m"][:N_MODELS]
     lead_m = 0.1 * 0.04  # speed times τ
     assert targets[rising] == pytest.approx(0.1 + 0.2 * lead_m)
@@ -171,7 +171,7 @@ def test_a_model_leads_less_by_the_part_that_it_leaves_out():
     a["bank"]["slope"] = 0.2
     a["bank"]["wave_number"] = SCALE
     a["lead"]["left_out"][slopes] = 0.25
-    blend_setpoints(default_params(), a, 0, 0.0, 0.1)
+    blend_setpoints(default_params(), a, 0.0, 0.1)
     whole_m = 0.2 * 0.1 * 0.04  # slope times speed times τ
     assert a["blend"]["model_m"][slopes] == pytest.approx(0.1 + 0.75 * whole_m)
     assert a["blend"]["model_m"][~slopes] == pytest.approx(0.1 + whole_m)
@@ -186,7 +186,7 @@ def test_no_speed_is_measured_across_a_long_gap_of_reports():
 
     def report(t_ms, x):
         push_pose(sense, 10**12 + t_ms * MS, np.array([x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
-        update_kinematics(default_params(), a["kinematics"], sense)
+        update_kinematics(default_params(), a["kinematics"], sense, t_ms == 0)
         return float(a["kinematics"]["speed_mps"]), float(a["kinematics"]["climb_mps"])
 
     for t in range(0, 200, 10):
@@ -205,7 +205,7 @@ def test_a_jump_of_height_is_more_than_the_axis_can_turn(step_m, jumps):
     for k in range(5):
         z = 0.1 + step_m * (k == 4)
         push_pose(sense, 10**12 + 100 * k * MS, np.array([0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0]), 0)
-        update_kinematics(params, kinematics, sense)
+        update_kinematics(params, kinematics, sense, k == 0)
     assert (kinematics["jump_ns"] != 0) == jumps
 
 

@@ -124,7 +124,7 @@ def test_between_two_blends_the_setpoint_rises_with_the_ground_in_the_direction_
     a["plant"]["tau_s"], a["estimate"]["slope_power"] = 0.0, 0.01
     a["bank"]["slope"][:WAVES] = np.where(BANK[:WAVES, 0] > 1.0, 0.1, 0.0)
     straight = float(np.mean(BANK[:WAVES, 0] > 1.0))
-    blend_setpoints(default_params(), a, 0, 0.0, 0.1)
+    blend_setpoints(default_params(), a, 0.0, 0.1)
     expected_mps = 0.1 * straight * (-0.2 if goes_back else 0.2)
     assert a["blend"]["rate_mps"] == pytest.approx(expected_mps, rel=1e-3)
 

@@ -35,7 +35,7 @@ def distance_ahead(adaptive, sense, age_s):
 
 
 @jit_inlined
-def target_of_blend(params, adaptive, pose_t_ns, ahead_m, standoff_m, due):
+def target_of_blend(params, adaptive, ahead_m, standoff_m, renew):
     """Blended setpoint [m].
 
     The models are blended when a sample, a pose or a controller period is new. In between the blend
@@ -44,14 +44,13 @@ def target_of_blend(params, adaptive, pose_t_ns, ahead_m, standoff_m, due):
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (updated)
-    pose_t_ns : int64     timestamp of the newest pose
     ahead_m : float64     distance from `distance_ahead` [m]
     standoff_m : float64  desired height of the tool above the ground [m]
-    due : bool            a controller period begins
+    renew : bool          one of these is new
     """
     blend = adaptive.blend
-    if due or adaptive.estimate.sample_ns != blend.sample_ns or pose_t_ns != blend.pose_ns:
-        return setpoint_blend.blend_setpoints(params, adaptive, pose_t_ns, ahead_m, standoff_m)
+    if renew:
+        return setpoint_blend.blend_setpoints(params, adaptive, ahead_m, standoff_m)
     return blend.setpoint_m + blend.rate_mps * (adaptive.clock.now_ns - blend.t_ns) * 1e-9
 
 
@@ -122,11 +121,14 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     estimate, controller, setpoint = adaptive.estimate, adaptive.controller, adaptive.setpoint
     newest = newest_pose(sense)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
-    if clock.update_clock(adaptive.clock, inputs.t_ns, pose_t_ns):
+    sample_ns, before_ns = estimate.sample_ns, adaptive.plant.t_ns  # of the cycle before
+    if clock.update_clock(adaptive.clock, inputs.t_ns, pose_t_ns, before_ns):
         return health.forget(adaptive.health, layout_adaptive.FAULT_CLOCK)
-    if kinematics.update_kinematics(params, adaptive.kinematics, sense):
-        setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
-    plant_identification.update_plant(params, adaptive, sense, inputs)
+    reported = pose_t_ns != before_ns
+    if reported:
+        if kinematics.update_kinematics(params, adaptive.kinematics, sense, before_ns == 0):
+            setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
+        plant_identification.update_plant(params, adaptive, sense, inputs)
     measurement.process_sample(params, adaptive, sense, fold, inputs, output, pose)
     if not orients(params) and params.n_channels > 1:
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
@@ -144,11 +146,12 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         setpoint_limits.release_setpoint(setpoint)
         attitude.release_attitude(adaptive.attitude)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
-    answered = controller_clock.observe_latch(controller, inputs, sense.pose_count, adaptive.clock.now_ns)
+    answered = controller_clock.observe_latch(controller, inputs, reported, adaptive.clock.now_ns)
     age_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + controller_clock.mean_wait_s(params, controller)
     ahead = distance_ahead(adaptive, sense, age_s)
     due = controller_clock.period_is_due(adaptive, inputs, adaptive.clock.now_ns)
-    target = target_of_blend(params, adaptive, pose_t_ns, ahead, standoff_m, due)
+    renew = due or reported or estimate.sample_ns != sample_ns
+    target = target_of_blend(params, adaptive, ahead, standoff_m, renew)
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
     target = target_of_preview(params, adaptive, target, standoff_m)

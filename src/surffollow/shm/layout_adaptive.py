@@ -56,7 +56,6 @@ class Controller(Schema):
     """Periods of the robot's controller (`controller_clock`)."""
 
     period_ns = I64(unit="ns", doc="begin of the newest controller period")
-    report_count = I64(doc="pose reports so far")
     asked_ns = I64(unit="ns", doc="newest step of a caller in process without a reading")
     latched_ns = I64(unit="ns", doc="newest latch")
     interval_ns = F64(unit="ns", doc="usual interval of latches")
@@ -95,8 +94,6 @@ class Blend(Schema):
     setpoint_m = F64(unit="m", doc="their blend")
     rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
     t_ns = I64(unit="ns", doc="when it was made")
-    pose_ns = I64(unit="ns", doc="timestamp of the pose that it was made with")
-    sample_ns = I64(unit="ns", doc="timestamp of the sample that it was made with")
     tracked_m = F64(unit="m", doc="the newest one that is not of a drop-out")
     filtered_m = F64(unit="m", doc="behind the deadband filter")
     filtered_ns = I64(unit="ns", doc="when that was made")

@@ -11,13 +11,11 @@ class Clock(Schema):
     """Time of the follower (`clock`)."""
 
     now_ns = I64(unit="ns", doc="latest timestamp of steps and poses")
-    pose_ns = I64(unit="ns", doc="timestamp of the newest pose in the cycle before")
 
 
 class Kinematics(Schema):
     """Velocity of the tool (`kinematics`)."""
 
-    pose_count = I64(doc="pose count at which the velocity was computed")
     velocity_x_mps = F64(unit="m/s", doc="lateral velocity")
     velocity_y_mps = F64(unit="m/s")
     speed_mps = F64(unit="m/s", doc="lateral speed")

@@ -91,17 +91,16 @@ def has_range(inputs):
 
 
 @jit
-def observe_latch(controller, inputs, poses, now_ns):
+def observe_latch(controller, inputs, reported, now_ns):
     """Update the period with a latch, which ends a pending one; whether the answer of this cycle is latched.
 
     Parameters
     ----------
     controller, inputs : records of `Controller` (updated), `Inputs`
-    poses : int            pose reports so far
+    reported : bool        there is a new pose report
     now_ns : int64
     """
-    reported, in_process = poses != controller.report_count, inputs.n_ranges > 0
-    controller.report_count = poses
+    in_process = inputs.n_ranges > 0
     if in_process and not has_range(inputs):
         controller.asked_ns = now_ns
     asked = now_ns == controller.asked_ns or (reported and now_ns - controller.asked_ns >= MAX_GAP_NS)

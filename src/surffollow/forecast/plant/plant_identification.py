@@ -136,8 +136,6 @@ def update_plant(params, adaptive, sense, inputs):
     plant, setpoint = adaptive.plant, adaptive.setpoint
     newest = newest_pose(sense)
     t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
-    if t == plant.t_ns:
-        return
     if setpoint.t_ns == 0:
         least = model_error(plant)
         for k in range(N_PLANTS):  # what all have in common: another controller has moved the robot since

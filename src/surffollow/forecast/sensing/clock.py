@@ -17,10 +17,16 @@ def inputs_ns(scaled, ns):
 
 
 @jit
-def update_clock(clock, t_ns, pose_t_ns):
-    """Advance the time to the latest timestamp; whether the clock jumped back, which is followed."""
+def update_clock(clock, t_ns, pose_t_ns, before_ns):
+    """Advance the time to the latest timestamp; whether the clock jumped back, which is followed.
+
+    Parameters
+    ----------
+    clock : record of `Clock` (updated)
+    t_ns, pose_t_ns : int64  time of the step, timestamp of the newest pose
+    before_ns : int64        timestamp of the newest pose in the cycle before
+    """
     t = max(t_ns, pose_t_ns)
-    jumped = t < clock.now_ns - LONG_GAP_NS or pose_t_ns < clock.pose_ns
-    clock.pose_ns = pose_t_ns
+    jumped = t < clock.now_ns - LONG_GAP_NS or pose_t_ns < before_ns
     clock.now_ns = t if jumped else max(clock.now_ns, t)
     return jumped

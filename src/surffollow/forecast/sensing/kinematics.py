@@ -100,12 +100,15 @@ def coast_height(kinematics, sense, report, t_ns):
 
 
 @jit
-def update_kinematics(params, kinematics, sense):
-    """Lateral and vertical velocity of the tool from its reports, 0 with one; returns whether it jumped."""
-    if kinematics.pose_count == sense.pose_count:
-        return False
-    jumped = 0 < kinematics.pose_count < sense.pose_count and note_jump(params, kinematics, sense)
-    kinematics.pose_count = sense.pose_count
+def update_kinematics(params, kinematics, sense, begins):
+    """Lateral and vertical velocity of the tool with a new report; returns whether it jumped.
+
+    Parameters
+    ----------
+    params, kinematics, sense : records of `Params`, `Kinematics` (updated), `SenseState`
+    begins : bool  there was no report before
+    """
+    jumped = not begins and note_jump(params, kinematics, sense)
     last, newest_ns, jump_ns = sense.pose_count - 1, sense.pose_t_ns[newest_pose(sense)], kinematics.jump_ns
     kinematics.coasted_m = coast_height(kinematics, sense, last - 1, newest_ns)
     if newest_ns == jump_ns:

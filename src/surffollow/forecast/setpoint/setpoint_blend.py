@@ -85,7 +85,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
 
 
 @jit_inlined
-def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m):
+def blend_setpoints(params, adaptive, ahead_m, standoff_m):
     """Blend the models' setpoints.
 
     The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
@@ -97,7 +97,6 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m):
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (updated)
-    pose_ns : int64       timestamp of the newest pose
     ahead_m : float64     distance beyond the newest footprint [m]; a sensor that leads counts as 0
     standoff_m : float64  desired height of the tool above the ground [m]
 
@@ -134,7 +133,6 @@ def blend_setpoints(params, adaptive, pose_ns, ahead_m, standoff_m):
     else:
         blend.tracked_m = z
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, slope * speed_mps, clock.now_ns
-    blend.sample_ns, blend.pose_ns = estimate.sample_ns, pose_ns
     return z
 
 
