@@ -67,7 +67,6 @@ class Sample(Schema):
     lead_m = F64(unit="m", doc="distance of the footprint ahead of that point")
     x_m = F64(unit="m", doc="footprint")
     y_m = F64(unit="m")
-    arc_length_m = F64(unit="m", doc="its arc length")
     heading_x = F64(unit="1", doc="unit vector of the way, by velocity; slow sensors: by footprints; 0: none")
     heading_y = F64(unit="1")
     spacing_m = F64(unit="m", doc="usual distance travelled between samples")

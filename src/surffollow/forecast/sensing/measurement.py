@@ -39,7 +39,6 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     -----
     The newest pose reported gives the desired height and the sample's place in the preview.
     """
-    sample = adaptive.sample
     is_new, channel, range_m, t = take_sample(params, adaptive, sense, inputs, output, pose)
     if not is_new:
         return
@@ -64,15 +63,14 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     if not orients(params) and (at_rest or adaptive.latency.count > 0):
         latency_identification.observe_height(params, adaptive, sense, t, h, pose)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
+    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m)
     if not at_rest:
         ahead = footprint_lead(adaptive, sense.pose, 7 * newest_pose(sense))
         if known_ground.compare_known_ground(adaptive, inputs, ahead, h):
             preview.withdraw_preview(adaptive.preview)
-    entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m)
-    sample.arc_length_m = adaptive.estimate.arc_length_m  # an initialisation advances it farther
     if not entered:
         return
-    terrain_buffer.store_ground_under(adaptive, sample.arc_length_m, h)
+    terrain_buffer.store_ground_under(adaptive, adaptive.estimate.arc_length_m, h)
     preview.observe_ground(params, adaptive, h)
     if not orients(params):
         output.fresh |= 1
@@ -164,7 +162,7 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
         travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
     sample.spacing_m = follow_usual(sample.spacing_m, travel)
-    sample.x_m, sample.y_m, sample.arc_length_m = x_m, y_m, adaptive.estimate.arc_length_m + travel
+    sample.x_m, sample.y_m = x_m, y_m
     if not kinematics.is_at_rest(motion):
         lead_m = footprint_lead(adaptive, pose, 0)
         sample.lead_m = follow_usual(sample.lead_m if known else 0.0, lead_m)

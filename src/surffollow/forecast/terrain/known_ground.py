@@ -62,7 +62,7 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     ahead_m : float64  place of the sample, ahead of the point under the newest pose [m]
     h_m : float64      height of the sample [m]
     """
-    known, source, s = adaptive.known, known_source(adaptive), adaptive.sample.arc_length_m
+    known, source, s = adaptive.known, known_source(adaptive), adaptive.estimate.arc_length_m
     here = known_height(adaptive, inputs, s, ahead_m)
     if not math.isfinite(here):
         return False

@@ -84,7 +84,7 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
     """
     # ground that is known from channel 0 has no bias, and is not to be confirmed
     known, ground, leads = adaptive.known, adaptive.preview.ground_m, terrain_buffer.sensor_leads(adaptive)
-    if not leads and adaptive.sample.arc_length_m < known.trusted_from_m:
+    if not leads and adaptive.estimate.arc_length_m < known.trusted_from_m:
         return 0
     bias_m, periods = 0.0 if leads else known.bias_m[known_ground.known_source(adaptive)], 0
     for k in range(HORIZON):

@@ -20,7 +20,7 @@ def point_at(adaptive, s_m):
     kinematics, sample = adaptive.kinematics, adaptive.sample
     if kinematics.speed_mps == 0.0:
         return sample.x_m, sample.y_m
-    t = (s_m - sample.arc_length_m) / kinematics.speed_mps
+    t = (s_m - adaptive.estimate.arc_length_m) / kinematics.speed_mps
     return sample.x_m + t * kinematics.velocity_x_mps, sample.y_m + t * kinematics.velocity_y_mps
 
 
@@ -35,7 +35,7 @@ def is_off_path(adaptive, c, s_m):
     """Whether cell c was measured away from the point of the path at an arc length."""
     buffer = adaptive.buffer
     x, y = point_at(adaptive, s_m)
-    tolerance = max(APART_M, 0.2 * abs(s_m - adaptive.sample.arc_length_m))
+    tolerance = max(APART_M, 0.2 * abs(s_m - adaptive.estimate.arc_length_m))
     return math.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y) > tolerance
 
 
