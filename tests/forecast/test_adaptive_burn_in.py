@@ -28,7 +28,7 @@ EARLY_SAMPLES = 200
 
 def deadband_state(rate_mps=0.0):
     a = zeros(AdaptiveState)[0]
-    a["clock"]["now_ns"] = a["blend"]["filtered_ns"] = 10**9
+    a["clock"]["now_ns"] = a["setpoint"]["t_ns"] = 10**9
     a["estimate"]["sigma_m"] = BAND / default_params()["deadband_share"]
     a["blend"]["rate_mps"] = rate_mps
     return a
@@ -38,6 +38,7 @@ def filtered(a, desired_m, cycles, cycle_ns):
     for _ in range(cycles):
         a["clock"]["now_ns"] += cycle_ns
         filter_setpoint(default_params(), a, desired_m)
+        a["setpoint"]["t_ns"] = a["clock"]["now_ns"]
     return float(a["blend"]["filtered_m"])
 
 

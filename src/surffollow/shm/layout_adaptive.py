@@ -96,7 +96,6 @@ class Blend(Schema):
     t_ns = I64(unit="ns", doc="when it was made")
     tracked_m = F64(unit="m", doc="the newest one that is not of a drop-out")
     filtered_m = F64(unit="m", doc="behind the deadband filter")
-    filtered_ns = I64(unit="ns", doc="when that was made")
 
 
 class Setpoint(Schema):

@@ -152,11 +152,9 @@ def filter_setpoint(params, adaptive, target_m):
     Beyond the deadband b the excess x decays by dx/dt = −x² / (2.5 b · 10 ms): one of 2.5 b is halved in
     10 ms. The result does not depend on the length of the cycle.
     """
-    clock, blend = adaptive.clock, adaptive.blend
-    dt = (clock.now_ns - blend.filtered_ns) * 1e-9
+    blend, dt = adaptive.blend, (adaptive.clock.now_ns - adaptive.setpoint.t_ns) * 1e-9
     if dt == 0.0:
         return blend.filtered_m
-    blend.filtered_ns = clock.now_ns
     if not 0.0 < dt < quantities.PAUSE_NS * 1e-9:
         blend.filtered_m = target_m
         return target_m
