@@ -43,7 +43,7 @@ def period_is_due(adaptive, inputs, now_ns):
     controller = adaptive.controller
     elapsed = now_ns - controller.period_ns
     if not is_synchronised(adaptive, inputs, now_ns):
-        period_ns = 9_999_000  # 100 Hz; a microsecond less, timestamps may be rounded
+        period_ns = PERIOD_S * 1e9 - 1e3  # timestamps may be rounded
         # callers are not punctual
         return elapsed >= period_ns - min(0.1 * period_ns, 0.25 * plan_call_s(adaptive) * 1e9)
     # the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm; periods last 0.6 to 1.4 intervals

@@ -104,6 +104,12 @@ def update_interval(setpoint, dt_s):
         setpoint.min_interval_s += 0.002 * (dt_s - setpoint.min_interval_s)
 
 
+@jit
+def acceleration_limit(params, ratio):
+    """Limit of the setpoint's acceleration; `ratio`: more of the axis' own one, for a plan [m/s²]."""
+    return min(params.max_accel_mps2, ratio * 20.0 * params.plant_a_max_mps2)
+
+
 @jit_inlined
 def propagate_setpoint(params, adaptive, target_m, dt_s):
     """Move the setpoint for a time at one acceleration.
@@ -127,7 +133,7 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     # it responds sooner
     ratio = 1.0 + 2.0 * adaptive.preview.share
     v_max = min(params.max_speed_mps, ratio * 2.0 * params.plant_v_max_mps)
-    a_max = min(params.max_accel_mps2, ratio * 20.0 * params.plant_a_max_mps2)
+    a_max = acceleration_limit(params, ratio)
     ahead_m, v, a = direction * e, direction * setpoint.velocity_mps, direction * setpoint.acceleration_mps2
     v_max, a_max, next_s = factor * v_max, factor * a_max, min(dt_s, shortest_s)
     accel = next_acceleration(ahead_m, v, a, dt_s, next_s, v_max, a_max, params.max_jerk_mps3)
@@ -142,7 +148,7 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
 @jit
 def note_limits(params, setpoint):
     """Note the limits of acceleration and jerk; whether one is lower than for the setpoint before."""
-    accel_mps2, jerk_mps3 = min(params.max_accel_mps2, 20.0 * params.plant_a_max_mps2), params.max_jerk_mps3
+    accel_mps2, jerk_mps3 = acceleration_limit(params, 1.0), params.max_jerk_mps3
     fallen = accel_mps2 < setpoint.max_accel_mps2 or jerk_mps3 < setpoint.max_jerk_mps3
     setpoint.max_accel_mps2, setpoint.max_jerk_mps3 = accel_mps2, jerk_mps3
     return fallen
