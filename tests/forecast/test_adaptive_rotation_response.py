@@ -191,11 +191,11 @@ def ring_params(places_m, orientations):
 
 def test_the_mean_range_is_of_all_beams_that_are_new():
     params = ring_params(4 * [(0.0, 0.0, 0.0)], 4 * [(0.0, 0.0, 0.0, 1.0)])
-    beams = zeros(AdaptiveState)[0]["beams"]
-    assert mean_range(params, beams, 10**9, 0.2) == 0.2
-    beams["t_ns"][:3], beams["range_m"][:3] = 10**9 - MS, (0.1, 0.2, 0.6)
+    beams, sense = zeros(AdaptiveState)[0]["beams"], zeros(SenseState)[0]
+    assert mean_range(params, beams, sense, 10**9, 0.2) == 0.2
+    beams["t_ns"][:3], sense["range_m"][:3] = 10**9 - MS, (0.1, 0.2, 0.6)
     beams["t_ns"][2] -= 100 * MS
-    assert mean_range(params, beams, 10**9, 0.5) == pytest.approx(0.15)
+    assert mean_range(params, beams, sense, 10**9, 0.5) == pytest.approx(0.15)
 
 
 def test_at_the_stand_off_the_mean_range_is_the_stand_off_whatever_the_mounts():
@@ -204,11 +204,11 @@ def test_at_the_stand_off_the_mean_range_is_the_stand_off_whatever_the_mounts():
     inclined = (0.0, math.sin(angle / 2.0), 0.0, math.cos(angle / 2.0))
     upright = (0.0, 0.0, 0.0, 1.0)
     params = ring_params([(0, 0, 0), (0.03, 0, 0), (-0.03, 0, 0.005)], [upright, inclined, upright])
-    beams = zeros(AdaptiveState)[0]["beams"]
+    beams, sense = zeros(AdaptiveState)[0]["beams"], zeros(SenseState)[0]
     for lift_m in (0.0, 0.02):
         ranges = np.array([0.1, 0.1 / math.cos(angle), 0.105]) + lift_m
-        beams["t_ns"][:3], beams["range_m"][:3] = 10**9, ranges
-        assert mean_range(params, beams, 10**9, 0.5) == pytest.approx(0.1 + lift_m)
+        beams["t_ns"][:3], sense["range_m"][:3] = 10**9, ranges
+        assert mean_range(params, beams, sense, 10**9, 0.5) == pytest.approx(0.1 + lift_m)
 
 
 @pytest.mark.parametrize("seed", [1, 2])

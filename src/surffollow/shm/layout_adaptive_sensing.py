@@ -192,7 +192,6 @@ class Beams(Schema):
     footprint_m = F64(BEAMS * 3, unit="m", doc="newest footprint per beam")
     t_ns = I64(BEAMS, unit="ns", doc="timestamp of that; 0: none yet")
     round_ns = I64(unit="ns", doc="time in which beams that are read by turns each have a sample")
-    range_m = F64(BEAMS, unit="m", doc="range of that")
     repeat_range_m = F64(BEAMS, unit="m", doc="first range of a run of like ones")
     repeat_ns = I64(BEAMS, unit="ns", doc="when that run began; 0: none yet")
     mean_m = F64(BEAMS, unit="m", doc="mean of the newest ranges per beam")

@@ -101,7 +101,7 @@ def observe_beams(params, adaptive, sense, pose):
         if changed or beams.t_ns[c] == 0 or t_ns < beams.repeat_ns[c]:
             beams.repeat_range_m[c], beams.repeat_ns[c] = range_m, t_ns
         observe_range(params, adaptive, c, t_ns, range_m, sensor_z)
-        beams.range_m[c], beams.t_ns[c] = range_m, t_ns
+        beams.t_ns[c] = t_ns
         dx, dy, _ = axis_ground_point(params, pose, 0)  # accurate enough for the curvature
         beams.axis_x_m, beams.axis_y_m = pose[0] + dx, pose[1] + dy
     return choose_reference(params, beams, sense)

@@ -35,7 +35,7 @@ def expected_range(params, c):
 
 
 @jit
-def mean_range(params, beams, t_ns, range_m):
+def mean_range(params, beams, sense, t_ns, range_m):
     """Mean of the newest ranges of all beams [m]: constant only if none of them responds.
 
     Beams that are inclined, or mounted higher, count as if they were not: at the stand-off the mean is the
@@ -43,14 +43,14 @@ def mean_range(params, beams, t_ns, range_m):
 
     Parameters
     ----------
-    params, beams : records of `Params`, `Beams`
+    params, beams, sense : records of `Params`, `Beams`, `SenseState`
     t_ns : int64       timestamp of the reference's sample
     range_m : float64  its range [m], returned while no beam is as new
     """
     total, n = 0.0, 0
     for c in range(params.n_channels):
         if is_recent(beams, c, t_ns):
-            total, n = total + (beams.range_m[c] - expected_range(params, c)), n + 1
+            total, n = total + (sense.range_m[c] - expected_range(params, c)), n + 1
     return params.offset_m + total / n if n > 0 else range_m
 
 

@@ -132,7 +132,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     predict_pose(params, adaptive, sense, t_ns, pose)
     was_stuck = response.is_unresponsive(adaptive.response)
     if orients(params):
-        range_m = rotation_response.mean_range(params, adaptive.beams, t_ns, range_m)
+        range_m = rotation_response.mean_range(params, adaptive.beams, sense, t_ns, range_m)
     spread_m = descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
     response.observe_response(params, adaptive, t_ns, range_m, pose[2], spread_m)
     responds = not response.is_unresponsive(adaptive.response)
