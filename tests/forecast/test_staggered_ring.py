@@ -62,13 +62,13 @@ def test_a_beam_that_misses_its_turn_is_left_out_and_another_one_is_the_referenc
     a = zeros(AdaptiveState)[0]
     params, sense = default_params(), zeros(SenseState)[0]
     params["n_channels"] = 4
-    a["health"]["interval_ns"][:4], sense["window_n"][:4] = 100 * MS, 1
+    a["health"]["interval_s"][:4], sense["window_n"][:4] = 0.1, 1
     a["beams"]["accepted"][:4] = 1
     measure_round(params, a)
     for last_ms, reference in ((1000, 0), (900, 3)):
         a["beams"]["t_ns"][:4] = MS * np.array([last_ms, 1025, 1050, 1075])
         assert choose_reference(params, a["beams"], sense) == reference
         assert bool(is_recent(a["beams"], 0, 1075 * MS)) == (reference == 0)
-    a["health"]["interval_ns"][1] = 4 * MS  # a slow beam among quick ones is not of their plane
+    a["health"]["interval_s"][1] = 4e-3  # a slow beam among quick ones is not of their plane
     measure_round(params, a)
     assert not is_recent(a["beams"], 2, 1076 * MS)

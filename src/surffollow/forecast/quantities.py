@@ -28,6 +28,12 @@ def follow_usual(usual, value):
 
 
 @jit
-def tolerated_gap_s(interval_s, least_ns):
+def follow_interval(usual, gap):
+    """Usual interval after one more; a gap counts as two usual ones at most."""
+    return follow_usual(usual, min(gap, 2.0 * usual) if usual != 0.0 else gap)
+
+
+@jit
+def tolerated_gap_s(interval_s, least_ns=MAX_GAP_NS):
     """Time without a sample at this usual interval that is no drop-out [s]; of a quick sensor the least."""
     return max(least_ns * 1e-9, min(DROPOUT_INTERVALS * interval_s, LONG_GAP_NS * 1e-9))

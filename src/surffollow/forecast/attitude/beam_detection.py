@@ -24,9 +24,9 @@ from surffollow.forecast.quantities import (
     MISSING_NS,
     PAUSE_NS,
     REPEAT_BAND,
+    tolerated_gap_s,
 )
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
-from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit, jit_inlined
@@ -46,12 +46,11 @@ def measure_round(params, adaptive):
 
     It is a part of the shortest interval of a channel: a beam that misses a round is not recent.
     """
-    shortest_ns = 0
+    shortest_s = LONG_GAP_NS * 1e-9  # before a channel has a second reading, all are of one round
     for c in range(params.n_channels):
-        usual_ns = adaptive.health.interval_ns[c]
-        if usual_ns > 0 and (shortest_ns == 0 or usual_ns < shortest_ns):
-            shortest_ns = usual_ns
-    adaptive.beams.round_ns = int(ROUND_SHARE * min(shortest_ns, LONG_GAP_NS))
+        if adaptive.health.interval_s[c] > 0.0:
+            shortest_s = min(shortest_s, adaptive.health.interval_s[c])
+    adaptive.beams.round_ns = int(ROUND_SHARE * shortest_s * 1e9)
 
 
 @jit
@@ -135,7 +134,7 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
     beams, number, sigma = adaptive.beams, mean_samples(adaptive), beam_noise_m(params, adaptive)
     deviation, most = range_m - beams.mean_m[c], BAND_SIGMAS * sigma
     since_s = (t_ns - beams.t_ns[c]) * 1e-9
-    begins = beams.t_ns[c] == 0 or not 0.0 <= since_s <= dropout_tolerance_s(adaptive.prediction)
+    begins = beams.t_ns[c] == 0 or not 0.0 <= since_s <= tolerated_gap_s(adaptive.prediction.interval_s)
     beams.mean_m[c] += min(max(deviation, -most), most) / number
     change = abs(beams.mean_m[c] - beams.run_mean_m[c])
     if begins or change > TEST_BAND_FACTOR * mean_band_m(sigma, number):

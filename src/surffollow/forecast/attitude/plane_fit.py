@@ -7,8 +7,7 @@ beam, the track that the reference beam draws on the ground updates the slope al
 import math
 
 from surffollow.forecast.attitude import beam_detection, plane_regression
-from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE
-from surffollow.forecast.sensing.health import dropout_tolerance_s
+from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE, tolerated_gap_s
 from surffollow.shm.jit import jit
 
 
@@ -61,7 +60,7 @@ def propagate_slopes(adaptive, t_ns):
     plane = adaptive.plane
     dt = (t_ns - plane.t_ns) * 1e-9
     plane.t_ns = t_ns
-    if not 0.0 < dt <= dropout_tolerance_s(adaptive.prediction):
+    if not 0.0 < dt <= tolerated_gap_s(adaptive.prediction.interval_s):
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = dt = 0.0
     shift_slopes(plane, plane.slope_rate_x_hz * dt, plane.slope_rate_y_hz * dt)
     return dt

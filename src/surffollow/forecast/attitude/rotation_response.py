@@ -14,8 +14,8 @@ from surffollow.forecast.attitude.beam_detection import is_recent
 from surffollow.forecast.attitude.plane_fit import slope_gain
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import rotate, rotation_between, to_world
+from surffollow.forecast.quantities import tolerated_gap_s
 from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
-from surffollow.forecast.sensing.health import dropout_tolerance_s
 from surffollow.forecast.sensing.mean_range import RUN_SAMPLES, TEST_BAND_FACTOR, is_suspicious
 from surffollow.forecast.sensing.response import ANSWER_TAUS
 from surffollow.shm.jit import jit, jit_inlined
@@ -80,7 +80,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     """
     rotation, plane = adaptive.rotation, adaptive.plane
     dt = (t_ns - rotation.t_ns) * 1e-9
-    begins = rotation.t_ns == 0 or not 0.0 < dt <= dropout_tolerance_s(adaptive.prediction)
+    begins = rotation.t_ns == 0 or not 0.0 < dt <= tolerated_gap_s(adaptive.prediction.interval_s)
     if plane.rank != 2:
         if begins:
             reset_rotation(rotation)  # too few beams to see a response: what is left is followed as ever

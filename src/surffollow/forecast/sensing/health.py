@@ -2,6 +2,7 @@
 
 from surffollow.forecast import quantities
 from surffollow.forecast.plant.axis_model import PERIOD_S
+from surffollow.forecast.quantities import follow_interval, tolerated_gap_s
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
@@ -16,28 +17,22 @@ LEFT_OUT_NS = 500_000_000  # a beam of a plane that is not used for so long: an 
 
 
 @jit
-def dropout_tolerance_s(prediction):
-    """Time without a sample, beyond the usual delay, that is no drop-out [s]."""
-    return quantities.tolerated_gap_s(prediction.interval_s, quantities.MAX_GAP_NS)
-
-
-@jit
-def is_missing(adaptive, since_ns):
-    """Whether a sample after this time is missing, beyond the usual delay and tolerance."""
-    tolerance_s = adaptive.latency.delay_s + dropout_tolerance_s(adaptive.prediction)
-    return adaptive.clock.now_ns - since_ns > tolerance_s * 1e9
+def missing_s(adaptive, since_ns, least_ns=quantities.MAX_GAP_NS):
+    """Time for which a sample after this time is missing, beyond the usual delay and gap [s]; ≤ 0: no."""
+    tolerance_s = adaptive.latency.delay_s + tolerated_gap_s(adaptive.prediction.interval_s, least_ns)
+    return (adaptive.clock.now_ns - since_ns) * 1e-9 - tolerance_s
 
 
 @jit
 def is_dropout(adaptive):
     """Whether samples of channel 0 are missing."""
-    return is_missing(adaptive, adaptive.hold.t_ns)
+    return missing_s(adaptive, adaptive.hold.t_ns) > 0.0
 
 
 @jit
 def is_stuck(adaptive):
     """Whether the range did not respond to a test, or repeats itself for as long as a drop-out lasts."""
-    repeats = adaptive.repeats.unused != 0 and is_missing(adaptive, adaptive.estimate.accepted_ns)
+    repeats = adaptive.repeats.unused != 0 and missing_s(adaptive, adaptive.estimate.accepted_ns) > 0.0
     return repeats or is_unresponsive(adaptive.response)
 
 
@@ -73,15 +68,12 @@ def observe_channels(params, health, sense, now_ns):
     """
     silent = 0
     for c in range(params.n_channels):
-        gap_ns, usual_ns = now_ns - health.reading_ns[c], health.interval_ns[c]
-        tolerated_ns = quantities.tolerated_gap_s(1e-9 * usual_ns, quantities.MAX_GAP_NS) * 1e9
+        gap_s, usual_s = (now_ns - health.reading_ns[c]) * 1e-9, health.interval_s[c]
         if sense.fresh[c] != 0:
-            if usual_ns != 0:
-                health.interval_ns[c] += (min(gap_ns, 2 * usual_ns) - usual_ns) // quantities.USUAL_SAMPLES
-            elif health.reading_ns[c] != 0:
-                health.interval_ns[c] = gap_ns
+            if health.reading_ns[c] != 0:
+                health.interval_s[c] = follow_interval(usual_s, gap_s)
             health.reading_ns[c] = now_ns
-        elif params.n_channels > 1 and gap_ns > tolerated_ns:
+        elif params.n_channels > 1 and gap_s > tolerated_gap_s(usual_s):
             silent |= 1 << c
     return silent
 

@@ -11,7 +11,7 @@ must then change by more than it varied.
 """
 
 from surffollow.forecast.estimation.noise import range_noise_m
-from surffollow.forecast.quantities import MAX_GAP_NS, tolerated_gap_s
+from surffollow.forecast.quantities import tolerated_gap_s
 from surffollow.forecast.sensing import constant_ranges, mean_range
 from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
@@ -240,7 +240,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     response, sigma_m = adaptive.response, range_noise_m(adaptive.noise)
     noise_m = mean_range.BAND_SIGMAS * sigma_m
     begins = response.t_ns == 0 or t_ns < response.t_ns
-    if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s, MAX_GAP_NS):
+    if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s):
         response.test_ns = t_ns  # an answer takes time with samples
     response.t_ns = t_ns
     count_repeats(params, adaptive, range_m, tool_z_m)

@@ -6,18 +6,12 @@ from surffollow.forecast import quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
+from surffollow.forecast.sensing.health import missing_s
 from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
-
-
-@jit
-def dropout_s(adaptive):
-    """Time since the last accepted sample beyond the usual delay and tolerance [s]; ≤ 0: no drop-out."""
-    since_s = (adaptive.clock.now_ns - adaptive.estimate.accepted_ns) * 1e-9 - adaptive.latency.delay_s
-    return since_s - quantities.tolerated_gap_s(adaptive.prediction.interval_s, quantities.MISSING_NS)
 
 
 @jit
@@ -106,7 +100,7 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
     """
     clock, kinematics, gate = adaptive.clock, adaptive.kinematics, adaptive.gate
     estimate, blend = adaptive.estimate, adaptive.blend
-    dropout = dropout_s(adaptive)
+    dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS)
     turned = measurement.has_turned_back(adaptive)
     ahead_m = ahead_m if turned else max(ahead_m - shadow_axes.uncompared_m(adaptive), 0.0)
     speed_mps = path_speed(kinematics)
@@ -185,7 +179,10 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
     if estimate.accepted_ns < kinematics.jump_ns <= adaptive.clock.now_ns:
         return tool_z_m  # heights are in the frame before the jump
-    few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout_s(adaptive) > 0.0
+    few = (
+        estimate.samples < quantities.CONFIRMED_SAMPLES
+        and missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS) > 0.0
+    )
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     no_descent = tool_z_m if stuck or hardly_known else -math.inf
     lowest, highest = setpoint_range(adaptive.response)
