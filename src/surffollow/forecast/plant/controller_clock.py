@@ -10,12 +10,13 @@ import math
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.pose import newest_until
-from surffollow.forecast.quantities import MAX_GAP_NS
+from surffollow.forecast.quantities import MAX_GAP_NS, follow_interval
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
 LATCH_DELAY_NS = 500_000  # latch time before the cycle of a service that sees the report, on average
-LONGEST_PERIODS = 3.0  # a controller period, in those of a plan: plans are too short for more
+# a controller period, in those of a plan: more frequent latches need no care; plans are too short for more
+SHORTEST_PERIODS, LONGEST_PERIODS = 0.6, 3.0
 
 
 @jit
@@ -33,7 +34,7 @@ def is_synchronised(adaptive, inputs, now_ns):
     controller, call_s = adaptive.controller, plan_call_s(adaptive)
     interval_s, since_ns = controller.interval_ns * 1e-9, now_ns - controller.latched_ns
     answers_each = inputs.n_ranges > 0 and not 0.0 < call_s < 0.5 * interval_s
-    usual = 0.6 * PERIOD_S < interval_s < LONGEST_PERIODS * PERIOD_S
+    usual = SHORTEST_PERIODS * PERIOD_S < interval_s < LONGEST_PERIODS * PERIOD_S
     return usual and not answers_each and 0 <= since_ns < MAX_GAP_NS
 
 
@@ -49,7 +50,7 @@ def period_is_due(adaptive, inputs, now_ns):
     # the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm; periods last 0.6 to 1.4 intervals
     interval_ns, left = controller.interval_ns, latch_time(adaptive, inputs, now_ns) - now_ns
     early = left <= 0.89 * min(interval_ns, PERIOD_S * 1e9)
-    prepares = controller.latch_pending == 0 and early and elapsed >= 0.6 * interval_ns
+    prepares = controller.latch_pending == 0 and early and elapsed >= SHORTEST_PERIODS * interval_ns
     return prepares or elapsed >= 1.4 * interval_ns
 
 
@@ -75,10 +76,8 @@ def mean_wait_s(params, controller):
 
 @jit
 def usual_interval(usual_ns, dt_ns):
-    """Usual interval after one more [ns]: a mean over some ten, at first the first one, without gaps."""
-    if not 0 < dt_ns < MAX_GAP_NS:
-        return usual_ns
-    return usual_ns + (0.1 if usual_ns > 0.0 else 1.0) * (dt_ns - usual_ns)
+    """Usual interval after one more [ns]; a drop-out is none."""
+    return follow_interval(usual_ns, dt_ns) if 0 < dt_ns < MAX_GAP_NS else usual_ns
 
 
 @jit
@@ -136,5 +135,5 @@ def period_at(controller, t_ns):
 
 @jit
 def usual_periods(controller):
-    """Usual time for which a demand is kept, in periods of a plan, 0.6 to LONGEST_PERIODS."""
-    return min(max(controller.usual_ns / (PERIOD_S * 1e9), 0.6), LONGEST_PERIODS)
+    """Usual time for which a demand is kept, in periods of a plan, within their limits."""
+    return min(max(controller.usual_ns / (PERIOD_S * 1e9), SHORTEST_PERIODS), LONGEST_PERIODS)
