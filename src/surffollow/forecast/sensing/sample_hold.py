@@ -4,7 +4,7 @@ A sensor holds each value for a while, and the converter reads it many times.
 """
 
 from surffollow.forecast.modes import orients
-from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, QUICK_RATE
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
@@ -91,7 +91,7 @@ def record_sample(hold, t_ns, range_m):
     change_m = abs(range_m - hold.range_m)
     if hold.t_ns != 0 and change_m > 0.0:
         hold.changes += 1
-        hold.least_m = min(change_m, 1.02 * hold.least_m) if hold.changes > 1 else change_m
+        hold.least_m = min(change_m, (1.0 + QUICK_RATE) * hold.least_m) if hold.changes > 1 else change_m
     hold.t_ns, hold.range_m = t_ns, range_m
 
 

@@ -24,12 +24,13 @@ def stopping_distance(speed_mps, accel_mps2, a_max_mps2, jerk_mps3):
     a_max_mps2, jerk_mps3 : float64  limits of acceleration [m/s²] and jerk [m/s³]
     """
     t = abs(accel_mps2) / jerk_mps3
+    cubic_m = jerk_mps3 * t * t * t / 6.0
     v = speed_mps + accel_mps2 * accel_mps2 / (2.0 * jerk_mps3)
     # first to zero acceleration; while braking, as if begun with zero acceleration earlier
     if accel_mps2 > 0.0:
-        first = speed_mps * t + accel_mps2 * t * t / 2.0 - jerk_mps3 * t * t * t / 6.0
+        first = speed_mps * t + accel_mps2 * t * t / 2.0 - cubic_m
     else:
-        first = jerk_mps3 * t * t * t / 6.0 - v * t
+        first = cubic_m - v * t
     if v >= a_max_mps2 * a_max_mps2 / jerk_mps3:
         return first + 0.5 * v * (v / a_max_mps2 + a_max_mps2 / jerk_mps3)
     return first + v * math.sqrt(v / jerk_mps3)
