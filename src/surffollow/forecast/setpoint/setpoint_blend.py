@@ -179,10 +179,8 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     estimate, kinematics = adaptive.estimate, adaptive.kinematics
     if estimate.accepted_ns < kinematics.jump_ns <= adaptive.clock.now_ns:
         return tool_z_m  # heights are in the frame before the jump
-    few = (
-        estimate.samples < quantities.CONFIRMED_SAMPLES
-        and missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS) > 0.0
-    )
+    dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS) > 0.0
+    few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     no_descent = tool_z_m if stuck or hardly_known else -math.inf
     lowest, highest = setpoint_range(adaptive.response)
