@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from surffollow.benchmark.conditions import PAPER_PROFILE, Conditions
-from surffollow.benchmark.families import FAMILY_SURFACES, family_names
+from surffollow.benchmark.family_profiles import FAMILY_SURFACES, family_names
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import SHAPES, Profile
 from surffollow.sim.profiles_measured import MEASURED, data_dir, read_csv
