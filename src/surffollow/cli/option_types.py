@@ -118,6 +118,7 @@ def rate_option(text: str) -> Callable[[Any], Any]:
     return click.option("--rate", type=kind, default=100.0, show_default=True, help=text)
 
 
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 SERVICE_NAME = ServiceName()
 LENGTH = Length()
 SIZE = Quantity(

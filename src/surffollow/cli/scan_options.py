@@ -80,7 +80,6 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in cli
 
 
 REGION = click.option("--region", type=Numbers(4), help="x_min,y_min,x_max,y_max.")
-JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 PICTURE = click.option("--picture", type=OUT, help="Draw a PNG (extra `plot`).")
 LIVE = click.option("--live", type=SERVICE_NAME, help="The map of this running service, in place of MAP.")
 
