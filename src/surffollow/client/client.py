@@ -16,13 +16,14 @@ from surffollow.client.slot import GENERATION
 from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import BusyError, PoseError
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.latch_shape import SLOTS, stride
 
 if TYPE_CHECKING:
     from surffollow.client.sim_pose import SimulatedTool
 
-_POST = lb.PosePost.struct_of("t_ns", "pose")
-_POSE_STRIDE = stride(lb.PosePost.SIZE)
+_POST = ls.PosePost.struct_of("t_ns", "pose")
+_POSE_STRIDE = stride(ls.PosePost.SIZE)
 _MAX_SIZE2 = MAX_POSITION_M**2
 
 

@@ -11,6 +11,7 @@ from surffollow.client.push_range import RangePusher
 from surffollow.client.requests import StopTicket, Ticket
 from surffollow.errors import BusyError
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.layout_follow import Params
 
 
@@ -81,8 +82,8 @@ class ServiceRequests(RangePusher):
         True
         """
         self._store_stop()
-        data = reason.encode(errors="replace")[: 8 * lb.STOP_TEXT_WORDS - 1]
-        numbers = struct.unpack(f"<{lb.STOP_TEXT_WORDS}q", data.ljust(8 * lb.STOP_TEXT_WORDS, b"\0"))
+        data = reason.encode(errors="replace")[: 8 * ls.STOP_TEXT_WORDS - 1]
+        numbers = struct.unpack(f"<{ls.STOP_TEXT_WORDS}q", data.ljust(8 * ls.STOP_TEXT_WORDS, b"\0"))
         try:
             return self._ask(lb.RQ_STOP, (), timeout_s, wait, numbers)
         except BusyError:  # of this thread itself: the stored request takes effect, only the reason is lost
@@ -151,8 +152,8 @@ class ServiceRequests(RangePusher):
 
         if not values:
             raise TypeError("set_params needs at least one name=value")
-        if len(values) > lb.REQUEST_ARGS:
-            raise TypeError(f"at most {lb.REQUEST_ARGS} parameters in one call, not {len(values)}")
+        if len(values) > ls.REQUEST_ARGS:
+            raise TypeError(f"at most {ls.REQUEST_ARGS} parameters in one call, not {len(values)}")
         numbers = [Params.offset(full) // 8 for full in names_given(values)]
         checked = [check_param(n, v) for n, v in values.items()]
         ticket = self._ask(lb.RQ_SET_PARAMS, checked, timeout_s, wait, numbers)

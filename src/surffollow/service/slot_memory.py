@@ -7,7 +7,8 @@ import os
 
 from surffollow.shm import sealed
 from surffollow.shm.board_regions import slots_bytes
-from surffollow.shm.layout_board import CLIENTS, SLOT_BYTES
+from surffollow.shm.layout_board import CLIENTS
+from surffollow.shm.layout_slot import SLOT_BYTES
 
 
 class SlotMemory:
