@@ -19,7 +19,6 @@ from surffollow.sim.profiles_random import RANDOM
 
 SPEEDS_MPS = (0.025, 0.05, 0.1, 0.2, 0.4)
 LEADS_M = (0.0, 0.05)
-SEEDS = range(0, 20)
 LATENCIES_S = (0.0, 0.03, 0.1, 0.3)
 SIGMA_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 TAU_FACTORS = (0.7, 1.5)

@@ -55,7 +55,7 @@ _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
 _QUANTUM_PER_STANDOFF = ml.QUANTUM_PER_STANDOFF
-_MAX_SIDE_M = 1e6
+_MAX_SIDE_M = ml.MAX_REGION_M
 
 
 @jit
