@@ -80,7 +80,6 @@ class Follower:
         self._params, self._state = zeros(Params), zeros(FollowState)
         self._inputs, self._output = zeros(Inputs), zeros(Output)
         self._scratch = np.zeros(7)
-        self._sense = self._state["sense"][0]
         self._t_ns, self._given_t_ns = self._inputs["t_ns"], self._inputs["given_t_ns"]
         self._n_ranges, self._given_m = self._inputs["n_ranges"], self._inputs["given_m"][0]
         self._demand = self._output["demand"][0]
