@@ -11,10 +11,10 @@ from collections.abc import Callable
 from second_user import OtherUser
 from surffollow.client.board import LAYOUT_HASH, Board
 from surffollow.service.slot_server import MAX_PENDING_PER_USER
-from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.unix_socket import new_socket, socket_path
 
-MESSAGE = lb.SlotMessage.struct_of("magic", "name")
+MESSAGE = ls.SlotMessage.struct_of("magic", "name")
 
 
 def raw_slot(name: str) -> tuple[socket.socket, int, mmap.mmap, int]:
@@ -24,15 +24,15 @@ def raw_slot(name: str) -> tuple[socket.socket, int, mmap.mmap, int]:
     board = Board(name)
     epoch = board.epoch
     board.close()
-    fields = [lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, epoch, 0, 0, 0, 0, b"attacker"]
+    fields = [ls.SLOT_MAGIC, LAYOUT_HASH, ls.SLOT_ASK, epoch, 0, 0, 0, 0, b"attacker"]
     sock.send(MESSAGE.pack(*fields))
     data, fds, _, _ = socket.recv_fds(sock, MESSAGE.size, 1)
     _, _, step, _, result, _, slot, claim, _ = MESSAGE.unpack(data)
-    assert step == lb.SLOT_OFFER, lb.SLOT_TEXT[result]
-    memory = mmap.mmap(fds[0], lb.SLOT_BYTES)
-    fields[2], fields[6], fields[7] = lb.SLOT_MAPPED, slot, claim
+    assert step == ls.SLOT_OFFER, ls.SLOT_TEXT[result]
+    memory = mmap.mmap(fds[0], ls.SLOT_BYTES)
+    fields[2], fields[6], fields[7] = ls.SLOT_MAPPED, slot, claim
     sock.send(MESSAGE.pack(*fields))
-    assert MESSAGE.unpack(sock.recv(MESSAGE.size))[2] == lb.SLOT_GRANT
+    assert MESSAGE.unpack(sock.recv(MESSAGE.size))[2] == ls.SLOT_GRANT
     return sock, fds[0], memory, slot
 
 

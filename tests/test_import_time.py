@@ -37,7 +37,8 @@ def test_the_package_itself_loads_nothing_heavy():
 
 def test_declaring_a_schema_and_reading_configuration_need_no_numpy():
     loaded = modules_after(
-        "import surffollow.shm.schema, surffollow.shm.layout_board, surffollow.shm.map_layout\n"
+        "import surffollow.shm.schema, surffollow.shm.layout_board, surffollow.shm.layout_slot\n"
+        "import surffollow.shm.map_layout\n"
         "import surffollow.shm.objects, surffollow.config.service, surffollow.config.params"
     )
     assert heavy(loaded) == []

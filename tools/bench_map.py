@@ -166,7 +166,7 @@ class Refocused:
         """Seconds of one MapRefocus, in the daemon's slices."""
         h, p, s = self.m.header, self.m.pairs, self.scratch
         start = time.perf_counter()
-        if refocus_begin(h, p, s, *region) != ml.OK:
+        if refocus_begin(h, s, *region) != ml.OK:
             raise SystemExit("refocus refused")
         while not refocus_step(h, p, s, SLICE):
             pass

@@ -17,7 +17,7 @@ from second_user import OtherUser
 from service.test_foreign_names import lock_everything
 from surffollow.client import attach
 from surffollow.errors import SurffollowError
-from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.unix_socket import socket_path
 
 KINDS = (
@@ -46,10 +46,10 @@ def attack(kind: str, name: str, seed: int) -> Callable[[OtherUser], None]:
         with contextlib.suppress(OSError):
             os.ftruncate(held[0], 0)
         time.sleep(0.004)
-        os.ftruncate(held[0], lb.SLOT_BYTES)
+        os.ftruncate(held[0], ls.SLOT_BYTES)
 
     def punch(_: int, held: tuple[int, mmap.mmap, Writer]) -> None:
-        libc.fallocate(held[0], _PUNCH_AND_KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(lb.SLOT_BYTES))
+        libc.fallocate(held[0], _PUNCH_AND_KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(ls.SLOT_BYTES))
         held[1].madvise(mmap.MADV_REMOVE)
 
     one = {"scribble": scribble, "cut": cut, "restore": restore, "punch": punch}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm import map_layout as ml
 from surffollow.shm.cheader import SCHEMAS, c_name
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, latch_bytes, stride
@@ -53,23 +54,23 @@ def objects_table() -> Iterator[str]:
         words = ", then the log's words" if name == "log" else ""
         yield f"| {offset} | {size} | {name} | {n}, `{c_name(schemas[name])}`{words} |"
     slot: tuple[tuple[int, type[Schema], bool], ...] = (
-        (lb.SLOT_HEAD, lb.SlotHead, False),
-        (lb.SLOT_POSE, lb.PosePost, True),
-        (lb.SLOT_REQUEST, lb.RequestPost, True),
+        (ls.SLOT_HEAD, ls.SlotHead, False),
+        (ls.SLOT_POSE, ls.PosePost, True),
+        (ls.SLOT_REQUEST, ls.RequestPost, True),
     )
-    yield f"\nA slot, {lb.SLOT_BYTES} bytes:\n"
+    yield f"\nA slot, {ls.SLOT_BYTES} bytes:\n"
     yield "| offset | bytes | holds |\n| ---: | ---: | --- |"
     for offset, schema, is_latch in slot:
         size = latch_bytes(schema.SIZE) if is_latch else schema.SIZE
         yield f"| {offset} | {size} | {'latch, ' if is_latch else ''}`{c_name(schema)}` |"
-    size = lb.RANGES_AT + lb.RANGE_ITEMS * lb.RangeItem.SIZE
+    size = ls.RANGES_AT + ls.RANGE_ITEMS * ls.RangeItem.SIZE
     yield (
-        f"| {lb.SLOT_RANGES} | {size} | ring: int64 items pushed so far; from byte {lb.RANGES_AT} on "
-        f"{lb.RANGE_ITEMS} `{c_name(lb.RangeItem)}` |"
+        f"| {ls.SLOT_RANGES} | {size} | ring: int64 items pushed so far; from byte {ls.RANGES_AT} on "
+        f"{ls.RANGE_ITEMS} `{c_name(ls.RangeItem)}` |"
     )
     for k in range(2):
-        offset = lb.SLOT_STREAM + k * lb.PIECE_BYTES
-        yield f"| {offset} | {lb.PIECE_BYTES} | `{c_name(lb.StreamPiece)}` and {lb.PIECE_GRIDS} grids |"
+        offset = ls.SLOT_STREAM + k * ls.PIECE_BYTES
+        yield f"| {offset} | {ls.PIECE_BYTES} | `{c_name(ls.StreamPiece)}` and {ls.PIECE_GRIDS} grids |"
     yield "\nMap:\n"
     yield "| offset | bytes | holds |\n| ---: | ---: | --- |"
     yield f"| 0 | {ml.MapHeader.SIZE} | `{c_name(ml.MapHeader)}` |"
@@ -92,16 +93,15 @@ def latch_table() -> Iterator[str]:
 def code_table() -> Iterator[str]:
     """Requests and answers by number."""
     yield "### Requests and answers\n"
-    requests = sorted((int(getattr(lb, n)), n[3:]) for n in dir(lb) if n.startswith("RQ_"))
     yield "| code | request |\n| ---: | --- |"
-    yield from (f"| {v} | {n} |" for v, n in requests)
+    yield from (f"| {v} | {n[3:]} |" for n, v in lb.codes("RQ_").items())
     yield "\n| answer | meaning |\n| ---: | --- |"
     yield from (f"| {v} | {text} |" for v, text in enumerate(lb.RESULT_TEXT))
     yield "\n| step on NAME.sock | message |\n| ---: | --- |"
     steps = ("SLOT_ASK", "SLOT_OFFER", "SLOT_MAPPED", "SLOT_GRANT", "SLOT_REFUSE")
-    yield from (f"| {getattr(lb, n)} | {n} |" for n in steps)
+    yield from (f"| {getattr(ls, n)} | {n} |" for n in steps)
     yield "\n| result of SLOT_REFUSE | meaning |\n| ---: | --- |"
-    yield from (f"| {v} | {text} |" for v, text in enumerate(lb.SLOT_TEXT) if v)
+    yield from (f"| {v} | {text} |" for v, text in enumerate(ls.SLOT_TEXT) if v)
     yield ""
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from surffollow.benchmark import families as f
 from surffollow.benchmark.conditions import Conditions, PoseConfig, SensorConfig
 from surffollow.benchmark.disturbances import DISTURBANCES
+from surffollow.benchmark.family_profiles import scaled_profile
 from surffollow.benchmark.scene import Scene, make_scene
 from surffollow.sim.plant import PlantConfig
 
@@ -63,7 +64,7 @@ class Case:
     def scene(self, seed: int) -> Scene:
         length = self.duration_s * self.speed_mps
         spacing = min(self.speed_mps * 2e-3, length / 4000)
-        profile = f.scaled_profile(self.ground, seed, length, spacing, **self.sizes)
+        profile = scaled_profile(self.ground, seed, length, spacing, **self.sizes)
         scene = make_scene(profile, self.speed_mps, seed, self.conditions)
         if self.lost > 0.0:
             lost = np.random.default_rng([seed, 71]).random(len(scene.world.readings)) < self.lost

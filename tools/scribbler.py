@@ -10,6 +10,7 @@ import numpy as np
 
 from surffollow.config.params import PARAMS
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
 from surffollow.shm.layout_follow import Params
 
@@ -35,7 +36,7 @@ class Writer:
         for _ in range(50):
             place = int(
                 rng.choice(
-                    [0, lb.SLOT_POSE // 8, lb.SLOT_REQUEST // 8, lb.SLOT_RANGES // 8, lb.SLOT_STREAM // 8]
+                    [0, ls.SLOT_POSE // 8, ls.SLOT_REQUEST // 8, ls.SLOT_RANGES // 8, ls.SLOT_STREAM // 8]
                 )
             )
             value = int(rng.choice([0, 1, 2, 3, -1, -(2**63), 2**63 - 1, int(rng.integers(2**62))]))
@@ -56,15 +57,15 @@ class Writer:
         post = np.zeros(8)
         post[1:4], post[4:] = place, quaternion
         post[:1].view(np.int64)[0] = time.monotonic_ns() + int(self.rng.integers(-100_000_000, 2_000_000))
-        self.post(lb.SLOT_POSE, lb.PosePost.SIZE, post.tobytes())
+        self.post(ls.SLOT_POSE, ls.PosePost.SIZE, post.tobytes())
 
     def request(self, counter: int) -> None:
-        rng, n = self.rng, int(self.rng.integers(1, lb.REQUEST_ARGS + 1))
-        post = np.zeros(lb.RequestPost.SIZE // 8)
+        rng, n = self.rng, int(self.rng.integers(1, ls.REQUEST_ARGS + 1))
+        post = np.zeros(ls.RequestPost.SIZE // 8)
         whole = post.view(np.int64)
         code = int(rng.integers(0, lb.RQ_RELEASE_RANGE + 2))
         whole[0], whole[1], whole[2], whole[3] = counter, code, n, int(rng.integers(2**62))
-        number, value = whole[4 : 4 + lb.REQUEST_ARGS], post[4 + lb.REQUEST_ARGS :]
+        number, value = whole[4 : 4 + ls.REQUEST_ARGS], post[4 + ls.REQUEST_ARGS :]
         if code == lb.RQ_SET_PARAMS:
             for k in range(n):
                 word, spec = self.names[int(rng.integers(len(self.names)))]
@@ -76,17 +77,17 @@ class Writer:
                     value[k] = round(float(value[k]))
         else:
             value[:4] = rng.choice([0.0, 0.1, -0.1, 1e3, -1e5, 1e-9, 1e21, math.inf], size=4)
-            number[:] = rng.integers(-2, 1 << 40, lb.REQUEST_ARGS)
+            number[:] = rng.integers(-2, 1 << 40, ls.REQUEST_ARGS)
             if code == lb.RQ_CLAIM_RANGE:
                 number[0] = rng.integers(1, 9)  # channel 0 is the robot's, who may be away for a moment
-        self.post(lb.SLOT_REQUEST, lb.RequestPost.SIZE, post.tobytes())
+        self.post(ls.SLOT_REQUEST, ls.RequestPost.SIZE, post.tobytes())
 
     def ranges(self) -> None:
         """A burst of well-formed items: any channel, times around now, distances that make others' wrong."""
-        head, now_ns = lb.SLOT_RANGES // 8, time.monotonic_ns()
+        head, now_ns = ls.SLOT_RANGES // 8, time.monotonic_ns()
         for _ in range(int(self.rng.integers(1, 200))):
             number = int(self.words[head]) + 1 & (2**62 - 1)
-            at = lb.SLOT_RANGES + lb.RANGES_AT + (number - 1 & lb.RANGE_ITEMS - 1) * lb.RangeItem.SIZE
+            at = ls.SLOT_RANGES + ls.RANGES_AT + (number - 1 & ls.RANGE_ITEMS - 1) * ls.RangeItem.SIZE
             item = np.zeros(4)
             item[3] = self.rng.choice([0.06, 0.14, math.nan, math.inf, -1.0, 1e300])
             t_ns = now_ns + int(self.rng.integers(-2_000_000_000, 4_000_000))

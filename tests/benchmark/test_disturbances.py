@@ -5,7 +5,7 @@ import pytest
 
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.disturbances import DISTURBANCES, bursts, heavy_tailed, speckle
-from surffollow.benchmark.families import family_profile
+from surffollow.benchmark.family_profiles import family_profile
 from surffollow.benchmark.scene import make_scene
 
 

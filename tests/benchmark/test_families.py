@@ -6,7 +6,8 @@ import pytest
 from surffollow.benchmark.baselines import P, run_jitted
 from surffollow.benchmark.conditions import Conditions, PoseConfig, SensorConfig
 from surffollow.benchmark.drive import drive
-from surffollow.benchmark.families import FAMILY_SURFACES, family_names, hedges, scaled_profile, weld
+from surffollow.benchmark.families import hedges, weld
+from surffollow.benchmark.family_profiles import FAMILY_SURFACES, family_names, scaled_profile
 from surffollow.benchmark.methods import factory_of
 from surffollow.benchmark.scene import make_scene
 from surffollow.sim.plant import PlantConfig

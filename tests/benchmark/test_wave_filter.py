@@ -7,7 +7,7 @@ import pytest
 
 from surffollow.benchmark import wave_filter as waves
 from surffollow.benchmark.conditions import Conditions
-from surffollow.benchmark.families import family_profile
+from surffollow.benchmark.family_profiles import family_profile
 from surffollow.benchmark.methods import BASELINES
 from surffollow.benchmark.runner import run_method, score_run
 from surffollow.benchmark.scene import make_scene

@@ -16,7 +16,7 @@ from running_service import STANDOFF_M, Service, until
 from second_user import needs_root
 from surffollow.client import STALE, Client, Demand, observe
 from surffollow.client import attach as attach_hasty
-from surffollow.client.observer import stale_age_ns
+from surffollow.client.attachment import stale_age_ns
 from surffollow.config.names import OBJECTS
 from surffollow.config.params import PARAMS, UNIT_ENDINGS
 from surffollow.errors import BusyError, RefusedError

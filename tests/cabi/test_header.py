@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from cabi.running import ROOT, WARNINGS, run
 from surffollow.cli.main import cli
-from surffollow.client import demand, observer, pose, push_range, slot_watch
+from surffollow.client import attachment, demand, pose, push_range, slot_watch
 from surffollow.config.params import PARAMS
 from surffollow.hw import pushed_ranges
 from surffollow.shm import cheader
@@ -113,7 +113,7 @@ def test_two_files_of_a_program_may_include_the_header(tmp_path: Path) -> None:
 
 def test_c_and_python_clients_share_their_constants() -> None:
     assert cheader.STALE == demand.STALE
-    assert cheader.REATTACH_EVERY_NS == observer.REATTACH_EVERY_NS
+    assert cheader.REATTACH_EVERY_NS == attachment.REATTACH_EVERY_NS
     assert cheader.LOOK_EVERY_NS == slot_watch.LOOK_EVERY_NS
     assert cheader.POSE_FUTURE_NS == pose.FUTURE_NS
     assert cheader.RANGE_FUTURE_NS == push_range.FUTURE_NS <= pushed_ranges.FUTURE_NS

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from cabi.running import ROOT
 from surffollow.cli.main import cli
-from surffollow.client import client, observer, reclaim, refusal, requests, slot, slot_request
+from surffollow.client import attachment, client, observer, reclaim, refusal, requests, slot, slot_request
 from surffollow.service import daemon, slot_server
 from surffollow.shm import cheader
 from surffollow.shm import layout_board as lb
@@ -100,8 +100,8 @@ def test_waits_and_limits_are_those_of_service_and_client() -> None:
         (lj.CLAIM_NS, reclaim.CLAIM_RETRY_S),
         (lj.CLAIM_AGAIN_NS, refusal.FIRST_PAUSE_NS / 1e9),
         (cheader.REFUSED_NS, refusal.REFUSED_NS / 1e9),
-        (cheader.STALE_MAX_NS, observer.STALE_MAX_NS / 1e9),
-        (1e9 * cheader.STALE_LEAST_PERIODS, observer.STALE_LEAST_PERIODS),
+        (cheader.STALE_MAX_NS, attachment.STALE_MAX_NS / 1e9),
+        (1e9 * cheader.STALE_LEAST_PERIODS, attachment.STALE_LEAST_PERIODS),
         (lj.REQUEST_LOST_NS, requests.LOST_S),
     ):
         assert ours == round(1e9 * theirs)

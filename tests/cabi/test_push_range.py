@@ -27,6 +27,7 @@ from surffollow.errors import BusyError, NotRunningError, ReadingError, RefusedE
 from surffollow.record.replay import replay_file
 from surffollow.record.session import record_service
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 
 CHANNELS = 3
 RANGE_TIME, ARGUMENT, OBSERVER, ENDED = -9, -1, -26, -20
@@ -215,25 +216,25 @@ class Scribbler:
         self._thread.start()
 
     def post(self, code: int, channel: int) -> None:
-        at = lb.SLOT_REQUEST + 64 + 320
+        at = ls.SLOT_REQUEST + 64 + 320
         body = struct.pack("<4q16q16d", 1, code, 1, 0, channel, *[0] * 15, *[0.0] * 16)
         self.memory[at : at + len(body)] = body
-        self.words[lb.SLOT_REQUEST // 8] = 1
+        self.words[ls.SLOT_REQUEST // 8] = 1
 
     def _scribble(self) -> None:
-        head, first = lb.SLOT_RANGES // 8, (lb.SLOT_RANGES + lb.RANGES_AT) // 8
-        n = lb.RANGE_ITEMS * 4
+        head, first = ls.SLOT_RANGES // 8, (ls.SLOT_RANGES + ls.RANGES_AT) // 8
+        n = ls.RANGE_ITEMS * 4
         while not self._over.is_set():
             kind = self.random.randrange(4)
             if kind == 0:
                 self.words[first : first + n] = self.rng.integers(-(2**62), 2**62, n)
             elif kind == 1:  # items that look right, for every channel, with times around now
-                numbers = int(self.words[head]) + 1 + np.arange(lb.RANGE_ITEMS)
+                numbers = int(self.words[head]) + 1 + np.arange(ls.RANGE_ITEMS)
                 items = self.words[first : first + n].reshape(-1, 4)
-                items[numbers - 1 & lb.RANGE_ITEMS - 1, 0] = numbers
-                items[:, 1] = time.monotonic_ns() + self.rng.integers(-(10**10), 10**10, lb.RANGE_ITEMS)
-                items[:, 2] = self.rng.integers(-2, 5, lb.RANGE_ITEMS)
-                items[:, 3] = np.full(lb.RANGE_ITEMS, 0.07).view(np.int64)
+                items[numbers - 1 & ls.RANGE_ITEMS - 1, 0] = numbers
+                items[:, 1] = time.monotonic_ns() + self.rng.integers(-(10**10), 10**10, ls.RANGE_ITEMS)
+                items[:, 2] = self.rng.integers(-2, 5, ls.RANGE_ITEMS)
+                items[:, 3] = np.full(ls.RANGE_ITEMS, 0.07).view(np.int64)
             steps = (0, 1, 5, 63, 64, 127, 128, 129, 10**6, -1, 2**62, -(2**62))
             self.words[head] = (int(self.words[head]) + self.random.choice(steps)) % 2**63
 

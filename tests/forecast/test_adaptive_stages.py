@@ -366,7 +366,7 @@ def test_conversions_of_a_held_value_are_one_sample_stamped_where_it_began():
         t = t0 + k * MS
         if k % 10 == 0:
             pose = np.array([1e-4 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
-            push_pose(f._sense, t - 10 * MS, pose, 0)
+            push_pose(f._state["sense"][0], t - 10 * MS, pose, 0)
         stamps = range(t - MS + 40_000, t + 1, 40_000)
         i["t_ns"], i["n_ranges"], i["n_conversions"] = t, 0, len(stamps)
         for n, s in enumerate(stamps):

@@ -15,7 +15,7 @@ from surffollow.hw.driver import ConversionQueue
 from surffollow.hw.external import ExternalConfig, ExternalDriver
 from surffollow.hw.pushed_ranges import FUTURE_NS, OLDEST_NS, REASONS, _take_item, close_queue, take_pushed
 from surffollow.hw.registry import make_driver
-from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.conversion import conversion_channel, conversion_counts, conversion_flags
 
 NOW = 10_000_000_000
@@ -131,7 +131,7 @@ def test_an_item_that_may_have_been_written_over_while_it_was_copied_is_left_out
     driver, queue = started()
     ring = Ring()
     ring.push(NOW, 0, 0.1)
-    item, number = ring.address + lb.RANGES_AT, 1
+    item, number = ring.address + ls.RANGES_AT, 1
     ring.words[0] = number + ahead  # as the second look at the head finds it
     answer = _take_item(driver.pushed, queue.address, item, number, 1, NOW, ring.address)
     assert (answer, len(queue)) == (taken, taken)

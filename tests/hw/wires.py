@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from surffollow.hw.wire.frame_format import crc16_modbus
-from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 
 # a frame of 8 bytes: AA 55, distance in µm, CRC
 FRAME_FORMAT = {
@@ -156,7 +156,7 @@ class Ring:
     """A ring as it lies in a slot, written as a client writes it, or wrongly."""
 
     def __init__(self) -> None:
-        self.words = np.zeros((lb.RANGES_AT + lb.RANGE_ITEMS * lb.RangeItem.SIZE) // 8, np.int64)
+        self.words = np.zeros((ls.RANGES_AT + ls.RANGE_ITEMS * ls.RangeItem.SIZE) // 8, np.int64)
         self.floats = self.words.view(np.float64)
         self.pushed: list[tuple[int, int, int, float]] = []
 
@@ -169,7 +169,7 @@ class Ring:
         return int(self.words[0])
 
     def push(self, t_ns: int, channel: int, range_m: float, number: int | None = None) -> None:
-        at = lb.RANGES_AT // 8 + (self.head & (lb.RANGE_ITEMS - 1)) * lb.RangeItem.SIZE // 8
+        at = ls.RANGES_AT // 8 + (self.head & (ls.RANGE_ITEMS - 1)) * ls.RangeItem.SIZE // 8
         number = self.head + 1 if number is None else number
         self.words[at : at + 3] = number, t_ns, channel
         self.floats[at + 3] = range_m

@@ -173,7 +173,7 @@ def test_bad_regions_change_nothing():
 def test_rows_too_long_for_the_scratch_are_refused_before_anything_changed():
     m = HeightMap.over((0, 0, 100, 1), grids=10_000, finest_m=0.1)
     before = m.pairs.tobytes(), m.header[0]["generation"]
-    answer = refocus_begin(m.header, m.pairs, np.zeros(ml.scratch_bytes(100) // 8), 0.0, 0.0, 90.0, 1.0)
+    answer = refocus_begin(m.header, np.zeros(ml.scratch_bytes(100) // 8), 0.0, 0.0, 90.0, 1.0)
     assert answer == ml.NO_SCRATCH
     assert (m.pairs.tobytes(), m.header[0]["generation"]) == before
     m.refocus((0, 0, 90, 1))
@@ -187,7 +187,7 @@ def test_any_slicing_gives_the_same_map():
         m = random_map(rng, 2000)
         region = random_region(rng, m.extent_m)
         scratch = np.zeros(ml.scratch_bytes(2000) // 8)
-        assert refocus_begin(m.header, m.pairs, scratch, *region) == ml.OK
+        assert refocus_begin(m.header, scratch, *region) == ml.OK
         while not refocus_step(m.header, m.pairs, scratch, budget):
             assert m.header[0]["generation"] % 2 == 1
         results.append(quanta_of(m).tobytes() + m.counts.tobytes())
@@ -206,7 +206,7 @@ def test_a_slice_whose_progress_was_not_stored_may_be_run_again():
         whole = m.copy()
         whole.refocus(region, finest_m=finest_m)
         scratch = np.zeros(ml.scratch_bytes(700) // 8)
-        assert refocus_begin(m.header, m.pairs, scratch, *region, finest_m) == ml.OK
+        assert refocus_begin(m.header, scratch, *region, finest_m) == ml.OK
         done = 0
         while not done:
             before = int(m.header[0]["journal_progress"])
@@ -258,7 +258,7 @@ n = start = int(header[0]["refocuses"])
 while n < 10**6:
     if n == start + 1:
         print("go", flush=True)
-    assert refocus_begin(header, pairs, scratch, *regions[n % 4]) == 0
+    assert refocus_begin(header, scratch, *regions[n % 4]) == 0
     while not refocus_step(header, pairs, scratch, 2000):
         pass
     n = int(header[0]["refocuses"])

@@ -19,6 +19,7 @@ from surffollow.client.map_install import MapStream
 from surffollow.errors import MapCancelledError, MapFileError, RefusedError, RequestTimeoutError
 from surffollow.map import HeightMap, access
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm import map_layout as ml
 
 
@@ -26,11 +27,11 @@ def post_pieces(stream: MapStream, n: int) -> None:
     """Stream the first n pieces and wait until the service took them."""
     for k in range(n):
         assert stream.wait_for_room(30.0)
-        start = k * lb.PIECE_GRIDS
-        stop = start + lb.PIECE_GRIDS
+        start = k * ls.PIECE_GRIDS
+        stop = start + ls.PIECE_GRIDS
         heights, counts = access.quanta(stream.pairs, start, stop), access.counts(stream.pairs, start, stop)
         stream.post(start, heights.tobytes(), counts.tobytes())
-    until(lambda: stream.grids_taken() == n * lb.PIECE_GRIDS, "the pieces' acknowledgement")
+    until(lambda: stream.grids_taken() == n * ls.PIECE_GRIDS, "the pieces' acknowledgement")
 
 
 def test_an_uploaded_map_installs_again_without_loss(client: Client, map_file: Path, tmp_path: Path) -> None:
@@ -150,7 +151,7 @@ def test_a_client_that_stops_half_way_is_fenced_off_after_its_lease(short_lease_
         assert caught.value.code == lb.ERR_CANCELLED
         assert known_grids(client) == 0
         # pieces of the fenced-off installation are not taken any more
-        stream.post(2 * lb.PIECE_GRIDS, bytes(2 * lb.PIECE_GRIDS), bytes(lb.PIECE_GRIDS))
+        stream.post(2 * ls.PIECE_GRIDS, bytes(2 * ls.PIECE_GRIDS), bytes(ls.PIECE_GRIDS))
         other.map_reset((0.0, 0.0, 1.0, 1.0))
         assert known_grids(other) == 0
 
@@ -162,8 +163,8 @@ def test_a_piece_that_does_not_continue_the_map_ends_the_installation(client: Cl
     stream = MapStream(client, ground.header, ground.pairs, 30.0)
     post_pieces(stream, 1)
     # WHEN a piece begins or ends elsewhere than it must
-    n = lb.PIECE_GRIDS if bad == "start" else lb.PIECE_GRIDS - 8
-    stream.post(lb.PIECE_GRIDS + (bad == "start"), bytes(2 * n), bytes(n))
+    n = ls.PIECE_GRIDS if bad == "start" else ls.PIECE_GRIDS - 8
+    stream.post(ls.PIECE_GRIDS + (bad == "start"), bytes(2 * n), bytes(n))
     # THEN the installation is cancelled
     with pytest.raises(RefusedError) as caught:
         stream.ticket.result(30.0)

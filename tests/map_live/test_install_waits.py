@@ -20,6 +20,7 @@ from surffollow.client.map_window import MapWindow
 from surffollow.errors import RefusedError, RequestTimeoutError
 from surffollow.map import HeightMap, access
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 
 GROUND = some_map(300, 301)
 
@@ -48,7 +49,7 @@ def announce(client: Client) -> MapStream:
 def post_early(stream: MapStream, n: int) -> None:
     """Write the first pieces without being called."""
     for k in range(n):
-        start, stop = k * lb.PIECE_GRIDS, (k + 1) * lb.PIECE_GRIDS
+        start, stop = k * ls.PIECE_GRIDS, (k + 1) * ls.PIECE_GRIDS
         heights, counts = access.quanta(stream.pairs, start, stop), access.counts(stream.pairs, start, stop)
         stream.post(start, heights.tobytes(), counts.tobytes())
 

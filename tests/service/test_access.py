@@ -19,6 +19,7 @@ from surffollow.service.mapper import map_pass
 from surffollow.service.mapper_memory import make_map_memory
 from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch_shape import latch_bytes
@@ -335,7 +336,7 @@ def test_requests_come_between_the_leases_of_a_client_that_renews_at_once() -> N
     ctx[m.SLOTS_AT], ctx[m.MAP_STATUS], ctx[m.LEASE_NS] = slots.ctypes.data, status.ctypes.data, lease_ns
     ctx[m.CLAIM + slot] = 7
     mem = make_map_memory(ctx, header, pairs, np.zeros(1))
-    flag = (slot * lb.SLOT_BYTES + lb.SLOT_HEAD + lb.SlotHead.offset("access")) // 8
+    flag = (slot * ls.SLOT_BYTES + ls.SLOT_HEAD + ls.SlotHead.offset("access")) // 8
     slots[flag] = lb.ACCESS_REQUESTED
     map_pass(mem, 1)
     assert mem.status[0]["access"] == lb.ACCESS_GRANTED

@@ -19,7 +19,7 @@ from lingering import LINGER_S, OldKernelService, hand_over, lingering
 from raw_slot import MESSAGE, raw_slot
 from running_service import Service, until
 from surffollow.shm import board_regions
-from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.received_descriptors import EVERY_S, Disposal, RightsSentError, receive, refuse_rights
 from surffollow.shm.unix_socket import listen, new_socket
 
@@ -65,7 +65,7 @@ def heartbeat_ns(s: Service) -> int:
 def attack(s: Service) -> list[socket.socket]:
     """Pass lingering sockets in every stage of the exchange; only the service has them then."""
     with s.observe() as watcher:
-        fields = [lb.SLOT_MAGIC, board_regions.layout_hash(), lb.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b""]
+        fields = [ls.SLOT_MAGIC, board_regions.layout_hash(), ls.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b""]
     ask = MESSAGE.pack(*fields)
     held = []
     with contextlib.ExitStack() as stack:

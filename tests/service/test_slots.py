@@ -27,6 +27,7 @@ from surffollow.errors import BusyError, NoPermissionError, NotReadyError
 from surffollow.service.client_table import KEPT_PER_USER, RESERVED
 from surffollow.service.slot_server import MAX_PENDING, MAX_PENDING_PER_USER
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm import sealed
 from surffollow.shm.unix_socket import listen, new_socket, socket_path
 
@@ -48,14 +49,14 @@ def attacks_on_memory(name: str) -> dict[str, str]:
     libc = ctypes.CDLL(None, use_errno=True)
 
     def punch() -> None:
-        if libc.fallocate(fd, PUNCH_AND_KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(lb.SLOT_BYTES)) != 0:
+        if libc.fallocate(fd, PUNCH_AND_KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(ls.SLOT_BYTES)) != 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
     def reopened() -> None:
         again = os.open(f"/proc/self/fd/{fd}", os.O_RDWR)
-        mmap.mmap(again, lb.SLOT_BYTES)
+        mmap.mmap(again, ls.SLOT_BYTES)
 
-    memory[:] = b"\xff" * lb.SLOT_BYTES
+    memory[:] = b"\xff" * ls.SLOT_BYTES
     try:
         return {
             "cut": outcome(lambda: os.ftruncate(fd, 0)),
@@ -63,7 +64,7 @@ def attacks_on_memory(name: str) -> dict[str, str]:
             "punch": outcome(punch),
             "remove": outcome(lambda: memory.madvise(mmap.MADV_REMOVE)),
             "write": outcome(lambda: os.pwrite(fd, b"x", 0)),
-            "map again": outcome(lambda: mmap.mmap(fd, lb.SLOT_BYTES)),
+            "map again": outcome(lambda: mmap.mmap(fd, ls.SLOT_BYTES)),
             "open again": outcome(reopened),
         }
     finally:
@@ -102,13 +103,13 @@ def test_what_a_client_that_let_go_has_mapped_has_no_owner(open_service: Service
             heir.ee_pos(POSE)
             before = watcher.status()
             # WHEN the first writes into what it has mapped
-            memory[: lb.SLOT_STREAM] = os.urandom(lb.SLOT_STREAM)
+            memory[: ls.SLOT_STREAM] = os.urandom(ls.SLOT_STREAM)
             open_service.cycles(50)
             # THEN the service and the next one see nothing of it
             after = watcher.status()
             for counter in ("requests", "requests_refused", "poses_refused", "torn"):
                 assert after[counter] == before[counter], counter
-            assert heir._in[: lb.SlotHead.SIZE] == bytes(lb.SlotHead.SIZE)
+            assert heir._in[: ls.SlotHead.SIZE] == bytes(ls.SlotHead.SIZE)
         finally:
             for one in heirs:
                 one.close()
@@ -183,9 +184,9 @@ def test_who_does_not_keep_to_the_exchange_is_let_go_and_delays_no_client(
 ) -> None:
     with open_service.observe() as watcher:
         epoch = watcher.epoch
-        fields = [lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, epoch, 0, 0, 0, 0, b""]
+        fields = [ls.SLOT_MAGIC, LAYOUT_HASH, ls.SLOT_ASK, epoch, 0, 0, 0, 0, b""]
         ask = MESSAGE.pack(*fields)
-        fields[2] = lb.SLOT_MAPPED
+        fields[2] = ls.SLOT_MAPPED
         sent = {
             "nothing": [],
             "garbage": [os.urandom(MESSAGE.size)],
@@ -215,7 +216,7 @@ def test_a_client_that_is_killed_in_the_exchange_takes_no_slot_along(open_servic
         sock = new_socket()
         sock.connect(str(socket_path(open_service.name)))
         with open_service.observe() as watcher:
-            fields = (lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b"")
+            fields = (ls.SLOT_MAGIC, LAYOUT_HASH, ls.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b"")
         sock.send(MESSAGE.pack(*fields))
         _, fds, _, _ = socket.recv_fds(sock, MESSAGE.size, 1)
         sock.close()
@@ -287,10 +288,10 @@ def test_a_client_whose_slot_the_service_took_back_gets_another(open_service: Se
 
 
 def test_sealed_memory_keeps_its_size_and_its_pages() -> None:
-    fd = sealed.make_sealed("test", lb.SLOT_BYTES)
-    assert sealed.has_sealed_size(fd, lb.SLOT_BYTES)
-    assert not sealed.has_sealed_size(fd, lb.SLOT_BYTES + 1)
-    memory = mmap.mmap(fd, lb.SLOT_BYTES)
+    fd = sealed.make_sealed("test", ls.SLOT_BYTES)
+    assert sealed.has_sealed_size(fd, ls.SLOT_BYTES)
+    assert not sealed.has_sealed_size(fd, ls.SLOT_BYTES + 1)
+    memory = mmap.mmap(fd, ls.SLOT_BYTES)
     assert sealed.seal_for_good(fd)
     with pytest.raises(PermissionError) as caught:
         memory.madvise(mmap.MADV_REMOVE)
@@ -375,15 +376,15 @@ def test_a_client_that_seals_its_slot_itself_costs_its_own_connection_alone(open
         for _ in range(10):
             sock = new_socket()
             sock.connect(str(socket_path(open_service.name)))
-            fields = [lb.SLOT_MAGIC, LAYOUT_HASH, lb.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b""]
+            fields = [ls.SLOT_MAGIC, LAYOUT_HASH, ls.SLOT_ASK, watcher.epoch, 0, 0, 0, 0, b""]
             sock.send(MESSAGE.pack(*fields))
             data, fds, _, _ = socket.recv_fds(sock, MESSAGE.size, 1)
             fields[6:8] = MESSAGE.unpack(data)[6:8]
-            fields[2] = lb.SLOT_MAPPED
+            fields[2] = ls.SLOT_MAPPED
             fcntl.fcntl(fds[0], fcntl.F_ADD_SEALS, fcntl.F_SEAL_SEAL)
             sock.send(MESSAGE.pack(*fields))
             answer = MESSAGE.unpack(sock.recv(MESSAGE.size))
-            assert (answer[2], answer[4]) == (lb.SLOT_REFUSE, lb.SLOT_BAD_MESSAGE)
+            assert (answer[2], answer[4]) == (ls.SLOT_REFUSE, ls.SLOT_BAD_MESSAGE)
             sock.close()
             os.close(fds[0])
         heartbeat = watcher.status()["main"]["t_ns"]

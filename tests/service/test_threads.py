@@ -14,7 +14,7 @@ THREADS = 6
 def test_threads_that_find_the_service_restarted_claim_one_slot_together(
     tmp_path_factory, monkeypatch
 ) -> None:
-    from surffollow.client import observer, slot
+    from surffollow.client import attachment, slot
 
     service = Service(tmp_path_factory.mktemp("threads"), config_text())
     try:
@@ -22,7 +22,7 @@ def test_threads_that_find_the_service_restarted_claim_one_slot_together(
         with service.attach() as client:
             client.ee_pos(POSE)
             # every look may re-attach, and to get a slot takes long enough for others to come
-            monkeypatch.setattr(observer, "REATTACH_EVERY_NS", 0)
+            monkeypatch.setattr(attachment, "REATTACH_EVERY_NS", 0)
             monkeypatch.setattr(slot, "SlotRequest", slowly(slot.SlotRequest))
             over = threading.Event()
             wrong: list[BaseException] = []

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surffollow.errors import SchemaError
-from surffollow.shm import board_regions, layout_board, layout_follow, map_layout
+from surffollow.shm import board_regions, layout_board, layout_follow, layout_slot, map_layout
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.schema import (
     F32,
@@ -47,7 +47,7 @@ def declared(*modules):
     return list(found.values())
 
 
-OURS = declared(layout_follow, layout_board, map_layout)
+OURS = declared(layout_follow, layout_board, layout_slot, map_layout)
 
 
 def schema_of(name, fields):

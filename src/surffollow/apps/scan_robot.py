@@ -7,7 +7,6 @@ obeys invalid demands, a lost service and the latched stop is the same code as i
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from surffollow.apps.clearance_monitor import POSES_AHEAD, ClearanceMonitor
 from surffollow.apps.scan_arm_state import TRACE_EVERY, arm_state, base_of, path_columns
+from surffollow.apps.scan_correction import HeightCorrection
 from surffollow.apps.scan_expected import expected_range_m
 from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.scan.checks import Floats
@@ -28,7 +28,6 @@ from surffollow.sim.robot_stop import REST_MPS
 from surffollow.sim.step_clock import STEP_NS
 from surffollow.sim.world import WorldPose
 
-ASKED_KEPT = 200  # periods that a shaper may look back
 WITHOUT_FACTS = {"speed_mps": 0.1, "acceleration_mps2": 1.0}
 
 
@@ -85,8 +84,8 @@ class ScanRobot(CommandedRobot):
         if monitor is not None:
             monitor.look_ahead(speed * self._looked_at_s(1.0)[1])
         self.inside, self.blocked = False, False
-        self.correction_m = self.lift_m = 0.0
-        self._asked: deque[tuple[float, float, float]] = deque(maxlen=ASKED_KEPT)
+        self.lift_m = 0.0
+        self._correction = HeightCorrection(config, self.limit_m)
         self._settled = 0
         self.started_ns = 0
         self._received_ns = self._tick_ns = start_ns
@@ -120,6 +119,11 @@ class ScanRobot(CommandedRobot):
     def number(self) -> int:
         """Pass that it is on; -1 on turns."""
         return int(self.path.passes[min(int(self.state["at"][0]), len(self.path) - 1)])
+
+    @property
+    def correction_m(self) -> float:
+        """Height above the plan that is asked of the arm [m]."""
+        return self._correction.correction_m
 
     @property
     def lifting_s(self) -> float:
@@ -178,18 +182,9 @@ class ScanRobot(CommandedRobot):
 
     def _desired(self, followed_m: float, passed_s: float) -> float:
         """Height from the plan, from the follower's demand, and the least above known ground."""
-        c = self.config
         planned = self._ahead(self._z)
-        asked = min(max(followed_m - planned, -self.limit_m), self.limit_m)
-        error, lift = self._shaped(asked, min(max(self._watch(), -self.limit_m), self.limit_m))
-        if c.way == "feedforward":
-            change = error - self.correction_m
-            constant = c.rise_s if change > 0.0 else c.sink_s
-            self.correction_m += change * (1.0 - math.exp(-max(passed_s, 0.0) / constant))
-        else:
-            self.correction_m = error
-        self.correction_m = max(self.correction_m, lift)
-        return planned + self.correction_m
+        lift = self._watch()
+        return planned + self._correction.update(self.t_ns * 1e-9, passed_s, followed_m - planned, lift)
 
     def _watch(self) -> float:
         """Least correction that known ground bears from here to where a lift has had its effect [m].
@@ -217,18 +212,6 @@ class ScanRobot(CommandedRobot):
         shaper = self.config.shaper
         return stop_s, stop_s + rate * (0.0 if shaper is None else shaper.duration_s)
 
-    def _shaped(self, error_m: float, lift_m: float) -> tuple[float, float]:
-        """Demand of follower and known ground beyond the plan, after the shaper's impulses."""
-        shaper = self.config.shaper
-        if shaper is None:
-            return error_m, lift_m
-        t_s = self.t_ns * 1e-9
-        self._asked.append((t_s, error_m, lift_m))
-        when, error, lift = np.array(self._asked).T
-        at = t_s - shaper.times_s
-        shaped = [float(shaper.amplitudes @ np.interp(at, when, v)) for v in (error, lift)]
-        return shaped[0], shaped[1]
-
     def _set(self, z_m: float) -> None:
         self.state["setpoint_m"] = z_m
         if self.started_ns == 0:
@@ -237,9 +220,7 @@ class ScanRobot(CommandedRobot):
             if self._settled < SETTLED_TICKS:
                 return
             self.started_ns = self.t_ns
-            if (
-                "shaper_s" in self.path.facts
-            ):  # from rest in its own time; slower would not be what was shaped
+            if "shaper_s" in self.path.facts:  # from rest in its own time; slower is not what was shaped
                 self.state["rate"] = 1.0
         self.state["rate_setpoint"] = 0.0 if self.paused or self.blocked else 1.0
 
@@ -260,7 +241,7 @@ class ScanRobot(CommandedRobot):
             planned = np.interp(ahead, self._t, self._z)
             self.state["setpoint_m"] = self._reports.newest[2] + max(0.0, float(planned.max() - planned[0]))
         self._settled = 0
-        self._asked.clear()
+        self._correction.forget()
         self.state["rate_setpoint"] = 0.0
 
     # -- what the operator asks for --------------------------------------------------------------------

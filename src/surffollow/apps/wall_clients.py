@@ -16,7 +16,8 @@ import numpy as np
 from surffollow.apps.wall_sensing import CRUISE_MPS, BaseClient, BaseRequest, Sensing, beams_near, wrap
 from surffollow.apps.wall_side import FollowWall2
 from surffollow.sonar.belief import Belief
-from surffollow.sonar.poses import optimal_pair, walls
+from surffollow.sonar.fused_poses import walls
+from surffollow.sonar.pair_poses import optimal_pair
 from surffollow.sonar.ring import SonarRing
 from surffollow.sonar.wall import WallPose
 

@@ -188,7 +188,7 @@ class ConnectionServer:
     def _offer(self, connection: Connection, name: str | None) -> None:
         """Answer the first message: refuse, or hand out a mailbox."""
         self._free_slots()
-        result, detail = self._check_admission(connection, name)
+        result, detail = self._check_admission(name)
         if result != al.HELLO_OK:
             connection.sock.send(hs.welcome(result, detail=detail), socket.MSG_NOSIGNAL)
             return
@@ -217,7 +217,7 @@ class ConnectionServer:
         self._await_joined(connection.slot)
         connection.sock.send(hs.MAPPED, socket.MSG_NOSIGNAL)
 
-    def _check_admission(self, connection: Connection, name: str | None) -> tuple[int, int]:
+    def _check_admission(self, name: str | None) -> tuple[int, int]:
         if name is None:
             return al.HELLO_BAD, 0
         if name not in self.config.clients:

@@ -17,7 +17,6 @@ _SYS_FUTEX = {"x86_64": 202, "aarch64": 98}
 _SYS_FUTEX_WAITV = 449
 _WAKE, _ALL = 1, 0x7FFFFFFF
 FUTEX_32 = 2
-WAITER_WORDS = 3  # value, address, flags
 
 
 def _machine() -> str:
@@ -60,6 +59,6 @@ def _wait_any(typingctx: Any, waiters: Any, count: Any, until_ns: Any) -> Any:
 
 # (address) → how many were woken
 futex_wake: Any = intrinsic(_wake)
-# (address of WAITER_WORDS words each, their number, time) → number of the word that woke, or -1: the time is
-# over, a word had changed already, a signal came, or the kernel knows no such call
+# (address of value, address and flags of each word, number of words, time) → number of the word that woke, or
+# -1: the time is over, a word had changed already, a signal came, or the kernel knows no such call
 futex_wait_any: Any = intrinsic(_wait_any)

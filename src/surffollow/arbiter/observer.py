@@ -17,8 +17,6 @@ from surffollow.errors import NotRunningError
 from surffollow.shm.closing import Closing
 from surffollow.shm.objects import SharedObject
 
-READY_POLL_S = 0.005
-
 
 class ArbiterObserver(Closing):
     """Reading access to an arbiter; it follows no restart: observe anew (see `alive`).

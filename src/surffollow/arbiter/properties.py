@@ -220,12 +220,12 @@ def holder_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> A
 
 
 @jit
-def queue_step(b: Any, a: Any, clients: Any, h: Any, effects: Any, n: Any) -> Any:
+def queue_step(b: Any, a: Any, h: Any, effects: Any, n: Any) -> Any:
     """Properties 13 to 17: departures, requests to relinquish, restarts, order, and nothing superfluous.
 
     Parameters
     ----------
-    b, a, clients, h, effects, n  as in `holder_step`
+    b, a, h, effects, n  as in `holder_step`
     """
     c = h.client
     if h.event in (t.RELINQUISH, t.LEASE_OVER, t.GONE):
@@ -323,5 +323,5 @@ def failed_property(before: Any, after: Any, clients: Any, state_event: Any, eff
     if fault == 0:
         fault = holder_step(b, a, clients[0], h, effects, n)
     if fault == 0:
-        fault = queue_step(b, a, clients[0], h, effects, n)
+        fault = queue_step(b, a, h, effects, n)
     return fault

@@ -29,8 +29,6 @@ from surffollow.benchmark.height_filters import (
     TRACK_COLUMNS,
     X,
     height_at,
-    lateral_speed,
-    pose_at,
     update_kalman,
     update_low_pass,
     update_waves,
@@ -39,6 +37,7 @@ from surffollow.benchmark.local_line import smoothed
 from surffollow.benchmark.loop import END, SAMPLE, STEP_S, TICK, World, advance
 from surffollow.benchmark.preview_planner import setpoint
 from surffollow.benchmark.preview_programme import PERIODS, new_planner, reference
+from surffollow.benchmark.reported_motion import lateral_speed, pose_at
 from surffollow.shm.jit import jit
 
 HOLD, P, PI, LPF_GATE, KALMAN_FF, KALMAN_WAVE, KALMAN_ADAPTIVE, PREVIEW = range(8)
@@ -160,11 +159,7 @@ def on_period(kind: int, p: NDArray[Any], buffers: Buffers, s: Any, w: World) ->
 
     Parameters
     ----------
-    kind : int             HOLD … PREVIEW
-    p : (n,) float64       parameters of the baseline
-    buffers : Buffers      updated
-    s : record of the run  see `loop`
-    w : World              what the run presents
+    kind, p, buffers, s, w  as in `on_sample`
     """
     m, track, memory = buffers.state, buffers.track, buffers.memory
     if s.poses == 0:

@@ -13,7 +13,8 @@ from typing import Any
 import msgspec
 
 from surffollow.benchmark.cell_runs import geometric_mean
-from surffollow.benchmark.families import FAMILY_SURFACES, PERIODIC
+from surffollow.benchmark.families import PERIODIC
+from surffollow.benchmark.family_profiles import FAMILY_SURFACES
 from surffollow.benchmark.methods import BASELINES, LIMIT, ORACLE
 
 OURS = "ours"

@@ -11,7 +11,6 @@ from typing import Any
 from numpy.typing import NDArray
 
 from surffollow.benchmark import wave_filter as waves
-from surffollow.benchmark.loop import STEP_S, World
 from surffollow.shm.jit import jit
 
 # state row
@@ -30,45 +29,10 @@ GLITCH_SAMPLES = 3
 KALMAN_SIGMA_M = 0.3e-3  # reading and pose noise that the filter assumes
 R_RANGE = 400.0  # the adapted variance of a reading stays within this factor of the assumed one
 MAX_LN_SCALE = math.log(1000.0)  # likewise the adapted process noise
-WHITENESS = (
-    5.0  # by so much ln(process noise) follows the correlation of successive innovations in one memory
-)
+# by so much ln(process noise) follows the correlation of successive innovations in one memory
+WHITENESS = 5.0
 MIN_PRODUCT, MAX_PRODUCT = -4.0, 4.0  # of two normalised innovations: one reading decides nothing
 REFUSED, TAKEN, RESET = 0, 1, 2  # outcome of a filter for a reading
-
-
-@jit
-def pose_at(s: Any, w: World, ms: float) -> tuple[float, float]:
-    """x and z at a time [ms] from the reports that have arrived, linear between and beyond them.
-
-    Returns
-    -------
-    (x, z) float64 [m], NaN before the first report
-    """
-    last = s.poses - 1
-    if last < 0:
-        return math.nan, math.nan
-    if last == 0:
-        return w.reports[0].x, w.reports[0].z
-    j = last
-    while j > 1 and w.reports[j - 1].ms > ms:
-        j -= 1
-    f = (ms - w.reports[j - 1].ms) / (w.reports[j].ms - w.reports[j - 1].ms)
-    x = w.reports[j - 1].x + f * (w.reports[j].x - w.reports[j - 1].x)
-    z = w.reports[j - 1].z + f * (w.reports[j].z - w.reports[j - 1].z)
-    return x, z
-
-
-@jit
-def lateral_speed(s: Any, w: World) -> float:
-    """Lateral speed [m/s] over the last ten reports that have arrived; 0 before the second."""
-    last = s.poses - 1
-    if last < 1:
-        return 0.0
-    first = max(0, last - 10)
-    return float(
-        (w.reports[last].x - w.reports[first].x) / ((w.reports[last].ms - w.reports[first].ms) * STEP_S)
-    )
 
 
 @jit

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from surffollow.benchmark.conditions import PAPER_PROFILE, Conditions
-from surffollow.benchmark.families import FAMILY_SURFACES, family_names
+from surffollow.benchmark.family_profiles import FAMILY_SURFACES, family_names
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import SHAPES, Profile
 from surffollow.sim.profiles_measured import MEASURED, data_dir, read_csv
@@ -19,7 +19,6 @@ from surffollow.sim.profiles_random import RANDOM
 
 SPEEDS_MPS = (0.025, 0.05, 0.1, 0.2, 0.4)
 LEADS_M = (0.0, 0.05)
-SEEDS = range(0, 20)
 LATENCIES_S = (0.0, 0.03, 0.1, 0.3)
 SIGMA_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 TAU_FACTORS = (0.7, 1.5)

@@ -11,7 +11,7 @@ import click
 
 from surffollow.cli.arbiter_stop import stop_command
 from surffollow.cli.old_names import old_name
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
 
 @click.group("arbiter")
@@ -51,7 +51,7 @@ arbiter_group.add_command(stop_command)
 @click.option(
     "--wait", "wait_s", type=Finite(min=0.0), default=0.0, help="Wait up to so many seconds for it to run."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def status_command(name: str, wait_s: float, as_json: bool) -> None:
     """Show who holds what, who is attached, what was denied and how long clients waited.
 
@@ -149,7 +149,7 @@ def _print_event(event: Any, as_json: bool) -> None:
 
 @arbiter_group.command("check")
 @click.option("--mutants", "with_mutants", is_flag=True, help="Also show that every altered table is caught.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def check_command(with_mutants: bool, as_json: bool) -> None:
     """Explore every state that three clients can bring a resource into, by the table that the server runs.
 
@@ -228,7 +228,7 @@ def follow_command(name: str, service: str, resource: str, client: str, as_json:
 @arbiter_group.command("demo")
 @click.option("--seconds", type=Finite(min=12.0, max=120.0), default=20.0, show_default=True)
 @click.option("--combine", type=click.Choice(["priority", "sum"]), default="priority", show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def demo_command(seconds: float, combine: str, as_json: bool) -> None:
     """Follow a surface, see an obstacle, lift the tool over it, bring it back: five processes share a robot.
 

@@ -7,7 +7,7 @@ import json
 import click
 
 from surffollow.cli.ending import check_holder_is_here, end_process
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
 
 @click.command("stop")
@@ -16,7 +16,7 @@ from surffollow.cli.option_types import SERVICE_NAME, Finite
 @click.option(
     "--timeout", type=Finite(min=0.0), default=10.0, show_default=True, help="Seconds to wait for its end."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
     """End an arbiter in good order; its resources get their safe command, and it removes its objects.
 

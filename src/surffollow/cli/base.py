@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from surffollow.cli.json_values import without_nan
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
 CLIENTS = ("avoid", "follow-wall", "follow-wall-2", "go")
 EXPERIMENTS = ("paper", "1", "1-pair", "2")
@@ -30,7 +30,7 @@ EXPERIMENTS = ("paper", "1", "1-pair", "2")
     help="x [m], y [m] and heading [rad] in the room.",
 )
 @click.option("--log", type=click.Path(dir_okay=False), help="Write the true motion to this CSV file.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def base_command(
     name: str, seconds: float, seed: int, start: tuple[float, float, float], log: str | None, as_json: bool
 ) -> None:
@@ -63,7 +63,7 @@ def base_command(
     "--name", type=SERVICE_NAME, default="cell", show_default=True, help="Arbiter, and prefix of blocks."
 )
 @click.option("--experiment", type=click.Choice(EXPERIMENTS), default="2", show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def base_client_command(client: str, name: str, experiment: str, as_json: bool) -> None:
     """Run one client of the wall-following experiments until the base ends."""
     from surffollow.apps.wall_processes import run_client
@@ -97,7 +97,7 @@ def seeds_of(ctx: click.Context, param: click.Parameter, value: str) -> range:
     "--seconds", type=Finite(min=1.0), default=90.0, show_default=True, help="Of motion with --processes."
 )
 @click.option("--plot", type=click.Path(dir_okay=False), help="Draw the first seed's run: PNG, SVG or PDF.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def wall_follow_command(
     experiment: str, laps: int, seeds: range, processes: bool, seconds: float, plot: str | None, as_json: bool
 ) -> None:

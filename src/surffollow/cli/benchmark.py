@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from surffollow.cli.option_types import JSON
 from surffollow.errors import UsageError
 from surffollow.shm.ending_signals import ended_by_signals
 from surffollow.units import parse_quantity
@@ -77,7 +78,7 @@ def _flat(values: tuple[Any, ...]) -> list[Any]:
     help="Also the special trials and each acceptance criterion; exit 1 when one is missed.",
 )
 @click.option("--bars", is_flag=True, hidden=True, help="The name of --criteria before this release.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 @click.option("--out", "folder", metavar="DIR", help="Write results, table, plots; remember tunings.")
 @click.option("--processes", default=2, show_default=True, type=click.IntRange(1, 64))
 @click.option("--list", "only_list", is_flag=True, help="List surfaces and methods, run nothing.")

@@ -11,7 +11,7 @@ import click
 
 from surffollow.cli.json_values import without_nan
 from surffollow.cli.old_names import old_name
-from surffollow.cli.option_types import Finite
+from surffollow.cli.option_types import JSON, Finite
 from surffollow.units import numbers_text
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def _age(age_s: float | None) -> str:
 
 @blocks_group.command("show")
 @click.argument("block")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def show_command(block: str, as_json: bool) -> None:
     """Show the newest values of BLOCK (NAME.BLOCK) with their units; the block brings its own schema."""
     from surffollow.blocks.listing import attach_unknown, describe_block
@@ -206,7 +206,7 @@ def record_command(
 
 @blocks_group.command("rm")
 @click.argument("blocks", nargs=-1, required=True, metavar="BLOCK...")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def remove_command(blocks: tuple[str, ...], as_json: bool) -> None:
     """Remove BLOCKs (NAME.BLOCK) of writers that were killed; one whose writer lives is refused."""
     from surffollow.blocks.remove import remove_block

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from surffollow.cli.option_types import SERVICE_NAME, Finite, InputFile
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, InputFile
 
 FILE = InputFile(Path)
 OUT = click.option(
@@ -22,7 +22,6 @@ OUT = click.option(
 CHANNEL = click.option(
     "--channel", type=click.IntRange(0, 7), default=0, show_default=True, help="Of the sensor."
 )
-JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 
 
 @click.group("calibrate")
@@ -95,6 +94,7 @@ def range_command(
     import numpy as np
 
     from surffollow.apps.fit_range import fit_range
+    from surffollow.cli.range_pairs import draw_fit, typed_pairs, unit_notes
     from surffollow.hw.calibration import merged, save_calibration
     from surffollow.map.formats.atomic_file import check_not_read
     from surffollow.record.figure import check_figure
@@ -113,8 +113,9 @@ def range_command(
         if indicated_unit is not None:
             indicated = unit_scale(indicated_unit, "m") * indicated
     else:
-        indicated, true = guided(str(name), channel, seconds, unit)
-    fit = fit_range(np.asarray(indicated), scale * np.asarray(true), channel)
+        indicated, true = typed_pairs(str(name), channel, seconds, unit)
+    indicated, true_m = np.asarray(indicated), scale * np.asarray(true)
+    fit = fit_range(indicated, true_m, channel)
     notes = unit_notes(fit.table)
     about = {
         f"range {channel}": {
@@ -125,9 +126,9 @@ def range_command(
     }
     save_calibration(out, merged(out, tables=(fit.table,), about=about))
     if plot:
-        draw(plot, np.asarray(indicated), scale * np.asarray(true), fit, "m" if indicated_unit else "m or V")
+        draw_fit(plot, indicated, true_m, fit, "m" if indicated_unit else "m or V")
     worst_m = max(map(abs, fit.residuals_m), default=0.0)
-    inner = np.unique(np.asarray(indicated))[1:-1]
+    inner = np.unique(indicated)[1:-1]
     worst_at = float(inner[int(np.argmax(np.abs(fit.residuals_m)))])
     print_result(
         as_json,
@@ -142,101 +143,6 @@ def range_command(
         f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm at {worst_at:.6g}; wrote {out}"
         + "".join(f"\nnote: {note}" for note in notes),
     )
-
-
-FAR_M = 20.0  # no robot's tool is held so far above a surface
-
-
-def unit_notes(table: Any) -> list[str]:
-    """Signs that the unit of a `RangeTable` is not the one that was meant."""
-    import numpy as np
-
-    low, high = sorted((table.range_m[0], table.range_m[-1]))
-    slope = (high - low) / (table.indicated[-1] - table.indicated[0])
-    notes = []
-    if high > FAR_M:
-        notes.append(f"the distances are {low:.4g} m to {high:.4g} m; is their --unit mm?")
-    elif np.isclose(slope, 1e-3, rtol=0.2):
-        notes.append(
-            f"the indicated values, {table.indicated[0]:.4g} to {table.indicated[-1]:.4g}, seem to be in mm; "
-            "a driver of distances gives metres: --indicated-unit mm"
-        )
-    return notes
-
-
-def guided(name: str, channel: int, seconds: float, unit: str) -> tuple[list[float], list[float]]:
-    """Ask for true distances one after the other; the sensor's mean beside each.
-
-    Parameters
-    ----------
-    name : str           of the service
-    channel : int
-    seconds : float [s]  of each mean
-    unit : str           of the distances typed
-    """
-    import math
-    import time
-
-    from surffollow.client import observe
-    from surffollow.units import parse_quantity
-
-    indicated: list[float] = []
-    true: list[float] = []
-    with observe(name) as watcher:
-        while True:
-            print(
-                f"distance of the target [{unit}], or an empty line to end: ",
-                end="",
-                file=sys.stderr,
-                flush=True,
-            )
-            text = sys.stdin.readline().strip()
-            if not text:
-                return indicated, true
-            try:
-                distance = parse_quantity(text, unit, bare=True)
-            except ValueError as error:
-                print(f"  {error}", file=sys.stderr)
-                continue
-            readings, end = [], time.monotonic() + seconds
-            while time.monotonic() < end:
-                value = watcher.raw_distance(channel)
-                if math.isfinite(value):
-                    readings.append(value)
-                time.sleep(0.005)
-            if not readings:
-                print("  the sensor sees nothing there; not taken", file=sys.stderr)
-                continue
-            indicated.append(sum(readings) / len(readings))
-            true.append(distance)
-            print(f"  {len(true)}: indicated {indicated[-1]:.6g}", file=sys.stderr)
-
-
-def draw(path: str, indicated: Any, true_m: Any, fit: Any, unit: str) -> None:
-    """Table and residuals as a picture.
-
-    Parameters
-    ----------
-    path : str                 the picture
-    indicated : (n,) float64   what the sensor showed
-    true_m : (n,) float64 [m]  true distances
-    fit : calibration as fitted
-    unit : str                 of the indicated values
-    """
-    import numpy as np
-
-    from surffollow.record.figure import new_figure, save_figure
-
-    figure = new_figure((7, 5))
-    curve, rest = figure.subplots(2, sharex=True)
-    curve.plot(fit.table.indicated, 1e3 * np.array(fit.table.range_m), label=fit.method)
-    curve.plot(indicated, 1e3 * true_m, "o", label="pairs")
-    curve.set_ylabel("distance [mm]")
-    curve.legend()
-    inner = np.unique(indicated)[1:-1]
-    rest.stem(inner, 1e3 * np.array(fit.residuals_m))
-    rest.set(ylabel="residual without the pair [mm]", xlabel=f"indicated [{unit}]")
-    save_figure(figure, path)
 
 
 @calibrate_group.command("latency")

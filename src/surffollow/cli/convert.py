@@ -7,7 +7,7 @@ import sys
 
 import click
 
-from surffollow.cli.option_types import rate_option
+from surffollow.cli.option_types import JSON, rate_option
 
 
 @click.command("convert")
@@ -26,7 +26,7 @@ from surffollow.cli.option_types import rate_option
 )
 @rate_option("Samples per second; 0: every cycle.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def convert_command(
     files: tuple[str, ...], to: str, out: str | None, rate: float, force: bool, as_json: bool
 ) -> None:
@@ -66,7 +66,7 @@ def convert_command(
     help="File to write.  [default: FILE-recovered.mcap]",
 )
 @click.option("--force", is_flag=True, help="Replace an existing file.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def recover_command(file: str, out: str | None, force: bool, as_json: bool) -> None:
     """Rewrite the whole chunks of a cut or damaged recording into a file that every reader opens."""
     from dataclasses import asdict

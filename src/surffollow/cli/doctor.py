@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from surffollow.cli.option_types import Finite
+from surffollow.cli.option_types import JSON, Finite
 from surffollow.errors import UsageError
 
 _MARKS = {"good": "ok", "fair": "fair", "lacking": "LACKS", "unknown": "?"}
@@ -17,7 +17,7 @@ _BAR = 50
 
 
 @click.command("doctor")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 @click.option(
     "--unit", type=click.Path(dir_okay=False), help="Check this systemd unit file instead of the machine."
 )
@@ -107,7 +107,7 @@ def _duration(low_s: float, high_s: float) -> Callable[[click.Context, click.Par
     help="Processor; -1: the last one allowed.",
 )
 @click.option("--cyclictest/--no-cyclictest", "beside", default=True, help="Run cyclictest in between.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def latency_command(
     seconds: float,
     period: int,

@@ -11,7 +11,7 @@ import click
 from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.facts import print_facts
 from surffollow.cli.map_live import install_command, reset_command, upload_command
-from surffollow.cli.option_types import LENGTH, InputFile, SignedArguments
+from surffollow.cli.option_types import JSON, LENGTH, InputFile, SignedArguments
 from surffollow.cli.progress import progress_bar
 from surffollow.errors import UsageError
 
@@ -77,7 +77,7 @@ def _facts(m: HeightMap) -> dict[str, Any]:
 
 @map_group.command("info")
 @click.argument("file", type=_EXISTING)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def info_command(file: str, as_json: bool) -> None:
     """Say what a map file holds."""
     m = _load(file)
@@ -223,7 +223,7 @@ def _kept_text(before_m: float, m: HeightMap, finest: float | None) -> str:
 @click.argument("one", type=_EXISTING)
 @click.argument("other", type=_EXISTING)
 @click.option("--limit", type=LENGTH, help="Exit with 1 when any grid differs by more.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def diff_command(one: str, other: str, limit: float | None, as_json: bool) -> None:
     """Compare two maps: OTHER minus ONE on the grids of ONE."""
     import numpy as np

@@ -71,14 +71,14 @@ class Finite(click.FloatRange):
         return float(super().convert(value, param, ctx))
 
 
-class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
-    """A positive number with a unit, such as `100MB` or `10min`; a bare number is in `si_unit`."""
+class Amount(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A positive number with a unit, such as `100MB` or `10min`; a bare number is in the SI unit."""
 
-    def __init__(self, name: str, si_unit: str, scales: dict[str, float]) -> None:
-        self.name, self._si_unit, self._scales = name, si_unit, scales
+    def __init__(self, name: str, scales: dict[str, float]) -> None:
+        self.name, self._scales = name, scales
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """The number in `si_unit`, or fail with the units that there are."""
+        """The number in the SI unit, or fail with the units that there are."""
         if isinstance(value, float):
             return value
         text = str(value).strip()
@@ -94,20 +94,21 @@ class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in cl
         return number
 
 
-class Length(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
-    """A length such as `0.1in`, `2.54 mm` or `1.5` (metres)."""
+class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A number with a unit of one dimension, such as `0.1in` or `2.54 mm`; a bare number is in `unit`."""
 
-    name = "LENGTH"
+    def __init__(self, name: str, unit: str) -> None:
+        self.name, self.unit = name, unit
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Metres, or fail with what was expected."""
+        """The number in `unit`, or fail with what was expected."""
         from surffollow.errors import UsageError
         from surffollow.units import parse_quantity
 
         if isinstance(value, float):
             return value
         try:
-            return parse_quantity(str(value), "m", bare=True)
+            return parse_quantity(str(value), self.unit, bare=True)
         except UsageError as error:
             self.fail(str(error), param, ctx)
 
@@ -118,9 +119,10 @@ def rate_option(text: str) -> Callable[[Any], Any]:
     return click.option("--rate", type=kind, default=100.0, show_default=True, help=text)
 
 
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 SERVICE_NAME = ServiceName()
-LENGTH = Length()
-SIZE = Quantity(
-    "SIZE", "B", {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 1024.0, "MiB": 2.0**20, "GiB": 2.0**30}
+LENGTH = Quantity("LENGTH", "m")
+SIZE = Amount(
+    "SIZE", {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 1024.0, "MiB": 2.0**20, "GiB": 2.0**30}
 )
-DURATION = Quantity("TIME", "s", {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "ms": 1e-3})
+DURATION = Amount("TIME", {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "ms": 1e-3})

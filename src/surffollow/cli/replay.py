@@ -6,12 +6,12 @@ import click
 
 from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.csv_replay import TABLES, output_suffix, replay_csv_command
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
 
 @click.command("replay")
 @click.argument("file", type=click.Path())
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 @click.option("--columns", type=click.Path(), help="FILE is a CSV log: what its columns mean (TOML).")
 @click.option("--start", type=Finite(), help="CSV: first time, in seconds of the log.")
 @click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")

@@ -6,8 +6,7 @@ import json
 
 import click
 
-from surffollow.cli.option_types import SERVICE_NAME
-from surffollow.cli.scan_options import JSON
+from surffollow.cli.option_types import JSON, SERVICE_NAME
 
 
 def _send_command(name: str, word: str, as_json: bool) -> None:

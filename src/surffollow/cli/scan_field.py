@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from surffollow.cli.option_types import LENGTH
-from surffollow.cli.scan_options import EXISTING, JSON, OUT
+from surffollow.cli.option_types import JSON, LENGTH
+from surffollow.cli.scan_options import EXISTING, OUT
 
 
 @click.command("demo")

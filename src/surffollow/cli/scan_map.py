@@ -5,10 +5,10 @@ from __future__ import annotations
 import click
 
 from surffollow.cli.facts import print_facts
-from surffollow.cli.option_types import LENGTH
+from surffollow.cli.option_types import JSON, LENGTH
 from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.progress import progress_bar
-from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, REGION, check_picture
+from surffollow.cli.scan_options import EXISTING, OUT, PICTURE, REGION, check_picture
 from surffollow.errors import ScanInputError
 
 MIN_CELLS = 3  # rows and columns of a map: fewer have no slope

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surffollow.cli.clipped_heights import warn_of_clipped
-from surffollow.cli.option_types import SERVICE_NAME, InputFile
+from surffollow.cli.option_types import SERVICE_NAME, InputFile, Quantity
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity
 
@@ -32,26 +32,10 @@ class PlainFile(InputFile):
 EXISTING = PlainFile()
 
 
-class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
-    """A number with a unit of one dimension."""
-
-    def __init__(self, unit: str, name: str) -> None:
-        self.unit, self.name = unit, name
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """SI number, or fail with what was expected."""
-        if isinstance(value, float):
-            return value
-        try:
-            return parse_quantity(str(value), self.unit, bare=True)
-        except UsageError as error:
-            self.fail(str(error), param, ctx)
-
-
 ANGLE, SPEED, ACCELERATION = (
-    Quantity("rad", "ANGLE"),
-    Quantity("m/s", "SPEED"),
-    Quantity("m/s^2", "ACCELERATION"),
+    Quantity("ANGLE", "rad"),
+    Quantity("SPEED", "m/s"),
+    Quantity("ACCELERATION", "m/s^2"),
 )
 
 
@@ -80,7 +64,6 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in cli
 
 
 REGION = click.option("--region", type=Numbers(4), help="x_min,y_min,x_max,y_max.")
-JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 PICTURE = click.option("--picture", type=OUT, help="Draw a PNG (extra `plot`).")
 LIVE = click.option("--live", type=SERVICE_NAME, help="The map of this running service, in place of MAP.")
 

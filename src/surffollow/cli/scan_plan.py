@@ -8,13 +8,12 @@ import sys
 import click
 
 from surffollow.cli.facts import print_facts
-from surffollow.cli.option_types import LENGTH, Finite
+from surffollow.cli.option_types import JSON, LENGTH, Finite
 from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.scan_options import (
     ACCELERATION,
     ANGLE,
     EXISTING,
-    JSON,
     LIVE,
     OUT,
     PICTURE,

@@ -9,9 +9,9 @@ import click
 
 from surffollow.apps.ending_signals import ending_signals
 from surffollow.cli.facts import print_facts
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 from surffollow.cli.output_checks import check_outputs
-from surffollow.cli.scan_options import EXISTING, JSON, OUT, PICTURE, check_picture, ground_of
+from surffollow.cli.scan_options import EXISTING, OUT, PICTURE, check_picture, ground_of
 from surffollow.errors import NotRunningError, ScanInputError, UsageError
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import click
 
 from surffollow.cli.ending import check_holder_is_here, end_process
 from surffollow.cli.entry import ended_at_once_by_interrupts
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
 
 @click.command("start")
@@ -66,7 +66,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 @click.option(
     "--timeout", type=Finite(min=0.0), default=10.0, show_default=True, help="Seconds to wait for its end."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
     """End a service in good order; its map is kept for the next start unless --purge is given."""
     from surffollow.errors import NotRunningError

@@ -11,14 +11,14 @@ from typing import Any
 import click
 
 from surffollow.cli.clipped_heights import clipped_note
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
 STARTING = 3  # exit code
 
 
 @click.command("status")
 @click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Name of the service.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 @click.option("--audit", is_flag=True, help="Who changed or tried to change what, oldest first.")
 @click.option(
     "--wait",

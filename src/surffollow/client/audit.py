@@ -13,16 +13,9 @@ from surffollow.config.stop_causes import stop_names
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import Params
 
-_REQUESTS = {
-    int(getattr(lb, name)): name[3:].lower()
-    for name in dir(lb)
-    if name.startswith("RQ_") and name != "RQ_NONE"
-}
-_ANSWERS = {
-    int(getattr(lb, name)): name.removeprefix("ERR_").lower()
-    for name in dir(lb)
-    if name.startswith("ERR_") or name in ("OK", "ACCEPTED")
-}
+_REQUESTS = {v: name[3:].lower() for name, v in lb.codes("RQ_").items() if v != lb.RQ_NONE}
+_ANSWERS = {v: name[4:].lower() for name, v in lb.codes("ERR_").items()}
+_ANSWERS.update({lb.OK: "ok", lb.ACCEPTED: "accepted"})
 _PARAM_NAMES = {f.offset // 8: f.name for f in Params.FIELDS}
 _RESERVED, _HEAD = lb.LogHead.offset("reserved") // 8, lb.LogHead.offset("head") // 8
 

@@ -1,4 +1,4 @@
-"""A robot controller's attachment: poses in, demands out. Its requests are in `service_requests`."""
+"""A robot controller's attachment: poses in, demands out, requests (`service_requests`, `map_requests`)."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from surffollow.client.fence import FENCED, fence
+from surffollow.client.map_requests import MapRequests
 from surffollow.client.observer import Observer
 from surffollow.client.pose import FUTURE_NS, checked_pose, checked_stamp
 from surffollow.client.reclaim import CLAIM_ANSWER_S, POSE
-from surffollow.client.service_requests import ServiceRequests
 from surffollow.client.slot import GENERATION
 from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import BusyError, PoseError
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.latch_shape import SLOTS, stride
 
 if TYPE_CHECKING:
     from surffollow.client.sim_pose import SimulatedTool
 
-_POST = lb.PosePost.struct_of("t_ns", "pose")
-_POSE_STRIDE = stride(lb.PosePost.SIZE)
+_POST = ls.PosePost.struct_of("t_ns", "pose")
+_POSE_STRIDE = stride(ls.PosePost.SIZE)
 _MAX_SIZE2 = MAX_POSITION_M**2
 
 
-class Client(ServiceRequests):
+class Client(MapRequests):
     """An attachment that may send poses and requests; see `attach`.
 
     Examples
@@ -189,7 +190,7 @@ class Client(ServiceRequests):
     EEPos = ee_pos
     DevVector = Observer.dev_vector
     RawDistance = Observer.raw_distance
-    SFReset = ServiceRequests.sf_reset
-    MapReset = ServiceRequests.map_reset
-    MapRefocus = ServiceRequests.map_refocus
-    UpLoadMap = ServiceRequests.upload_map
+    SFReset = MapRequests.sf_reset
+    MapReset = MapRequests.map_reset
+    MapRefocus = MapRequests.map_refocus
+    UpLoadMap = MapRequests.upload_map

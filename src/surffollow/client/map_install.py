@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 from surffollow.client.fence import fence
 from surffollow.errors import MapCancelledError, NotRunningError, RequestTimeoutError
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 
 if TYPE_CHECKING:
     from surffollow.client.service_requests import ServiceRequests
 
-_HEAD = lb.StreamPiece.struct_of("counter", "n")
-_HEAD_AT = lb.StreamPiece.offset("counter")
+_HEAD = ls.StreamPiece.struct_of("counter", "n")
+_HEAD_AT = ls.StreamPiece.offset("counter")
 _POLL_S = 0.0001
 _GIVE_UP_S = 1.0
 _READING = 0.5  # of the work, for the progress callback
@@ -55,7 +56,7 @@ class MapStream:
         deadline = time.monotonic() + timeout_s
         while True:
             taken = self.grids_taken()
-            if self.called and number <= taken // lb.PIECE_GRIDS + 2:
+            if self.called and number <= taken // ls.PIECE_GRIDS + 2:
                 return True
             if self.ticket.done():
                 return False
@@ -76,12 +77,12 @@ class MapStream:
         """Write the next piece into its half; the caller knows that it is free."""
         client, number = self.client, self.posted + 1
         memory = client._in
-        at = lb.SLOT_STREAM + (number & 1) * lb.PIECE_BYTES
+        at = ls.SLOT_STREAM + (number & 1) * ls.PIECE_BYTES
         words = client._in_words
         words[at // 8] = 0  # an earlier installation's number may be there
         fence()
-        memory[at + lb.PIECE_HEIGHTS : at + lb.PIECE_HEIGHTS + len(heights)] = heights
-        memory[at + lb.PIECE_COUNTS : at + lb.PIECE_COUNTS + len(counts)] = counts
+        memory[at + ls.PIECE_HEIGHTS : at + ls.PIECE_HEIGHTS + len(heights)] = heights
+        memory[at + ls.PIECE_COUNTS : at + ls.PIECE_COUNTS + len(counts)] = counts
         _HEAD.pack_into(memory, at + _HEAD_AT, self.ticket.counter, self.claim, start, len(counts))
         fence()
         words[at // 8] = number
@@ -98,10 +99,10 @@ class MapStream:
     def run(self, progress: Any) -> None:
         from surffollow.map import access
 
-        for start in range(0, self.total, lb.PIECE_GRIDS):
+        for start in range(0, self.total, ls.PIECE_GRIDS):
             if not self.wait_for_room(self.timeout_s):
                 break  # refused: the result below says why
-            stop = min(start + lb.PIECE_GRIDS, self.total)
+            stop = min(start + ls.PIECE_GRIDS, self.total)
             heights, counts = access.quanta(self.pairs, start, stop), access.counts(self.pairs, start, stop)
             self.post(start, heights.tobytes(), counts.tobytes())
             if progress is not None and progress(_READING + (1 - _READING) * stop / self.total) is False:

@@ -17,6 +17,7 @@ from surffollow.client.board import Board
 from surffollow.client.fence import fence
 from surffollow.client.map_point import UNKNOWN_POINT, SurfacePoint, mean_height, surface_point
 from surffollow.client.map_reader import open_map
+from surffollow.client.region import check_region
 from surffollow.shm import map_layout as ml
 
 if TYPE_CHECKING:
@@ -231,7 +232,6 @@ class MapReading:
         True
         """
         from surffollow.client.map_window import make_window
-        from surffollow.client.requests import check_region
 
         checked = None if region is None else check_region(region)
         return make_window(self._mapped().object, checked, TRIES)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from surffollow.client.fence import fence
 from surffollow.errors import BlockError, NotRunningError, RefusedError, RequestTimeoutError
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm import map_layout as ml
 from surffollow.shm.objects import SharedObject
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from surffollow.client.board import Board
     from surffollow.client.service_requests import ServiceRequests
 
-_ACCESS_WORD = (lb.SLOT_HEAD + lb.SlotHead.offset("access")) // 8
+_ACCESS_WORD = (ls.SLOT_HEAD + ls.SlotHead.offset("access")) // 8
 
 
 class ExclusiveAccess:

@@ -13,14 +13,15 @@ from surffollow.client.fence import FENCED, fence
 from surffollow.client.reclaim import Reclaimer
 from surffollow.errors import ReadingError
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.layout_follow import CHANNELS
 from surffollow.units import format_ns
 
-_ITEM = lb.RangeItem.struct_of("number", "range_m")
-_ITEM_BYTES = lb.RangeItem.SIZE
-_HEAD = lb.SLOT_RANGES // 8
-_ITEMS = lb.SLOT_RANGES + lb.RANGES_AT
-_LAST = lb.RANGE_ITEMS - 1
+_ITEM = ls.RangeItem.struct_of("number", "range_m")
+_ITEM_BYTES = ls.RangeItem.SIZE
+_HEAD = ls.SLOT_RANGES // 8
+_ITEMS = ls.SLOT_RANGES + ls.RANGES_AT
+_LAST = ls.RANGE_ITEMS - 1
 _MAX_GENERATION = (1 << 62) - 1
 FUTURE_NS = 1_000_000
 OLDEST_NS = 1_000_000_000

@@ -16,11 +16,12 @@ from surffollow.errors import (
     RefusedError,
 )
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.latch_shape import SLOTS, stride
 
-_REQUEST = lb.RequestPost.struct_of("counter", "value")
-_STOP_WORD = (lb.SLOT_HEAD + lb.SlotHead.offset("stop")) // 8
-_REQUEST_STRIDE = stride(lb.RequestPost.SIZE)
+_REQUEST = ls.RequestPost.struct_of("counter", "value")
+_STOP_WORD = (ls.SLOT_HEAD + ls.SlotHead.offset("stop")) // 8
+_REQUEST_STRIDE = stride(ls.RequestPost.SIZE)
 _OF_THE_MAP = (lb.RQ_MAP_RESET, lb.RQ_MAP_REFOCUS, lb.RQ_MAP_INSTALL)
 
 
@@ -31,7 +32,7 @@ class RequestSender(SlotHolder):
         """Stop by one store into the slot, if there is one: the service looks at it in every cycle."""
         if self._grant is not None:
             word = self._in_words[_STOP_WORD]
-            self._in_words[_STOP_WORD] = (((word >> 32) + 1) & 0x7FFFFFFF) << 32 | lb.STOP_WORD
+            self._in_words[_STOP_WORD] = (((word >> 32) + 1) & 0x7FFFFFFF) << 32 | ls.STOP_WORD
 
     def _request(
         self,
@@ -111,7 +112,7 @@ class RequestSender(SlotHolder):
         words, index = self._in_words, self._request_index
         g = (words[index] + 1) & GENERATION or 1
         fence()
-        pad = lb.REQUEST_ARGS
+        pad = ls.REQUEST_ARGS
         _REQUEST.pack_into(
             self._in,
             self._request_base + (g & (SLOTS - 1)) * _REQUEST_STRIDE,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from surffollow.errors import NotRunningError, RefusedError, RegionError, RequestTimeoutError, UsageError
+from surffollow.errors import NotRunningError, RefusedError, RequestTimeoutError
 from surffollow.shm.layout_board import (
     ACCEPTED,
     ERR_BAD_VALUE,
@@ -23,61 +22,12 @@ from surffollow.shm.layout_board import (
     Ack,
 )
 from surffollow.shm.layout_follow import STOPPED, Params
-from surffollow.units import real_number
 
 if TYPE_CHECKING:
     from surffollow.client.request_sender import RequestSender
 
-MAX_REGION_M = 1e6
 LOST_S = 5.0
 _POLL_S = (0.0, 0.0002, 0.0005, 0.001, 0.002)
-
-
-def check_region(region: Sequence[float]) -> tuple[float, float, float, float]:
-    """The region (x_min, y_min, x_max, y_max) [m] as floats.
-
-    Raises
-    ------
-    RegionError
-        not four finite numbers, a side not positive or longer than 1e6 m
-    """
-    try:
-        x_min, y_min, x_max, y_max = (float(v) for v in region)
-    except (TypeError, ValueError):
-        raise RegionError(f"a region is (x_min, y_min, x_max, y_max) in metres, not {region!r}") from None
-    if not all(math.isfinite(v) for v in (x_min, y_min, x_max, y_max)):
-        raise RegionError(f"a region must be finite, not {region!r}")
-    for side, name in ((x_max - x_min, "x"), (y_max - y_min, "y")):
-        if not 0.0 < side <= MAX_REGION_M:
-            raise RegionError(
-                f"the region's {name} side is {side:g} m; sides must be positive and "
-                f"at most {MAX_REGION_M:g} m"
-            )
-    return x_min, y_min, x_max, y_max
-
-
-def check_finest(finest_m: float) -> float:
-    """The finest useful grid of a refocus [m]; 0: the service's own choice.
-
-    Raises
-    ------
-    RegionError
-        not 0, and no number within 1e-6 to 1e4 m
-    """
-    try:
-        finest_m = real_number(finest_m, "finest_m")
-    except UsageError as e:
-        raise RegionError(str(e)) from None
-    if finest_m == 0.0:
-        return 0.0
-    from surffollow.shm.map_layout import MAX_GRID_M, MIN_GRID_M
-
-    if not MIN_GRID_M <= finest_m <= MAX_GRID_M:
-        raise RegionError(
-            f"the finest grid is {finest_m:g} m; it must be {MIN_GRID_M:g} to {MAX_GRID_M:g} m, or 0: the "
-            "service's own choice"
-        )
-    return float(finest_m)
 
 
 class Ticket:

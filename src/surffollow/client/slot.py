@@ -18,7 +18,7 @@ from surffollow.errors import (
     NotReadyError,
     NotRunningError,
 )
-from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.latch_shape import HEAD_BYTES
 
 CLAIM_TRIES, CLAIM_PAUSE_S = 50, 0.02
@@ -144,10 +144,10 @@ class SlotHolder(Observer):
         # the target of poses changes at once, and the grant comes last
         self.slot, self._claim = grant.slot, grant.claim
         self._in, self._in_words = grant.memory, memoryview(grant.memory).cast("Q")
-        self._pose_index = lb.SLOT_POSE // 8
-        self._pose_base = lb.SLOT_POSE + HEAD_BYTES
-        self._request_index = lb.SLOT_REQUEST // 8
-        self._request_base = lb.SLOT_REQUEST + HEAD_BYTES
+        self._pose_index = ls.SLOT_POSE // 8
+        self._pose_base = ls.SLOT_POSE + HEAD_BYTES
+        self._request_index = ls.SLOT_REQUEST // 8
+        self._request_base = ls.SLOT_REQUEST + HEAD_BYTES
         self._counter, self._open = 0, []
         self._pose_held, self._grant_ended = False, 0
         self._pose_view: tuple[Any, Any, int, int] = (

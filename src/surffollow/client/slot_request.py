@@ -14,13 +14,14 @@ import time
 from surffollow.client.board import LAYOUT_HASH, Board
 from surffollow.errors import BlockError, BusyError, NoPermissionError, NotReadyError
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.checked_open import foreign
 from surffollow.shm.readable import wait_readable
 from surffollow.shm.received_descriptors import accept_rights, refuse_rights
 from surffollow.shm.sealed import has_sealed_size
 from surffollow.shm.unix_socket import new_socket, peer_of, socket_path
 
-_MESSAGE = lb.SlotMessage.struct_of("magic", "name")
+_MESSAGE = ls.SlotMessage.struct_of("magic", "name")
 _AGAIN_S = 0.002
 
 
@@ -100,14 +101,14 @@ class SlotRequest:
                 self.is_deserted = True
                 raise
             if self._connected:
-                _send(self._sock, self.board, lb.SLOT_ASK, 0, 0, self._label)
+                _send(self._sock, self.board, ls.SLOT_ASK, 0, 0, self._label)
         if self._connected and self._memory is None and (offer := _receive(self._sock)) is not None:
             self._map(*offer)
-            _send(self._sock, self.board, lb.SLOT_MAPPED, self._slot, self._claim, self._label)
+            _send(self._sock, self.board, ls.SLOT_MAPPED, self._slot, self._claim, self._label)
         if self._memory is not None and (grant := _receive(self._sock)) is not None:
             for fd in grant[1]:
                 os.close(fd)
-            _check(self.board, grant[0], lb.SLOT_GRANT)
+            _check(self.board, grant[0], ls.SLOT_GRANT)
             return SlotGrant(self._sock, self._memory, self._slot, self._claim)
         if time.monotonic() > self._deadline:
             raise NotReadyError(
@@ -118,14 +119,14 @@ class SlotRequest:
 
     def _map(self, offer: bytes, fds: list[int]) -> None:
         try:
-            self._slot, self._claim = _check(self.board, offer, lb.SLOT_OFFER)
-            sealed = len(fds) == 1 and has_sealed_size(fds[0], lb.SLOT_BYTES)
+            self._slot, self._claim = _check(self.board, offer, ls.SLOT_OFFER)
+            sealed = len(fds) == 1 and has_sealed_size(fds[0], ls.SLOT_BYTES)
             if not sealed or not 0 <= self._slot < lb.CLIENTS:
                 raise BlockError(
-                    f"service {self.board.name!r} handed out no sealed memory of {lb.SLOT_BYTES} bytes; use "
+                    f"service {self.board.name!r} handed out no sealed memory of {ls.SLOT_BYTES} bytes; use "
                     "client and service of one release"
                 )
-            self._memory = mmap.mmap(fds[0], lb.SLOT_BYTES)
+            self._memory = mmap.mmap(fds[0], ls.SLOT_BYTES)
         finally:
             for fd in fds:
                 os.close(fd)
@@ -177,7 +178,7 @@ def _connect(sock: socket.socket, board: Board) -> bool:
 
 
 def _send(sock: socket.socket, board: Board, step: int, slot: int, claim: int, label: bytes) -> None:
-    fields = (lb.SLOT_MAGIC, LAYOUT_HASH, step, board.epoch, 0, 0, slot, claim, label)
+    fields = (ls.SLOT_MAGIC, LAYOUT_HASH, step, board.epoch, 0, 0, slot, claim, label)
     sock.send(_MESSAGE.pack(*fields), socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
 
 
@@ -201,13 +202,13 @@ def _check(board: Board, data: bytes, step: int) -> tuple[int, int]:
     if len(data) != _MESSAGE.size:
         raise BlockError(f"service {board.name!r} sent {len(data)} bytes, expected {_MESSAGE.size}")
     magic, layout, said, _, result, detail, slot, claim, _ = _MESSAGE.unpack(data)
-    if said == lb.SLOT_REFUSE and magic == lb.SLOT_MAGIC:
-        text = lb.SLOT_TEXT[result] if 0 < result < len(lb.SLOT_TEXT) else f"result {result}"
-        if result == lb.SLOT_OTHER_RUN:
+    if said == ls.SLOT_REFUSE and magic == ls.SLOT_MAGIC:
+        text = ls.SLOT_TEXT[result] if 0 < result < len(ls.SLOT_TEXT) else f"result {result}"
+        if result == ls.SLOT_OTHER_RUN:
             raise NotReadyError(f"service {board.name!r}: {text}")
-        if result in (lb.SLOT_ALL_TAKEN, lb.SLOT_USER_LIMIT, lb.SLOT_PROCESS_LIMIT):
+        if result in (ls.SLOT_ALL_TAKEN, ls.SLOT_USER_LIMIT, ls.SLOT_PROCESS_LIMIT):
             raise BusyError(f"service {board.name!r}: {text} (limit {detail})")
         raise BlockError(f"service {board.name!r}: {text}")
-    if (magic, layout, said) != (lb.SLOT_MAGIC, LAYOUT_HASH, step) or claim == 0:
+    if (magic, layout, said) != (ls.SLOT_MAGIC, LAYOUT_HASH, step) or claim == 0:
         raise BlockError(f"service {board.name!r} answered with step {said}, expected {step}; attach again")
     return slot, claim

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.params import check_param, names_given
-from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
 from surffollow.config.window_fit import FITTED, check_fit
 from surffollow.errors import PoseError, UsageError
+from surffollow.follower.given_values import write_pose, write_ranges
 from surffollow.follower.kernel_time import PoseIntervals, kernel_time
 from surffollow.follower.reading_stamps import Timestamps
 from surffollow.follower.setup import Config, read_setup
@@ -42,18 +42,6 @@ from surffollow.shm.layout_follow import (
     Params,
 )
 from surffollow.units import real_number
-
-
-def _real(value: object) -> float:
-    """A real number as float; text and truth values are no numbers."""
-    if isinstance(value, (str, bytes, bool, np.bool_, complex)):
-        raise TypeError(value)
-    return float(value)  # type: ignore[arg-type]
-
-
-def _reading(value: object) -> float:
-    """A range as float; None, as NaN, is no reading."""
-    return math.nan if value is None else _real(value)
 
 
 class Follower:
@@ -92,7 +80,6 @@ class Follower:
         self._params, self._state = zeros(Params), zeros(FollowState)
         self._inputs, self._output = zeros(Inputs), zeros(Output)
         self._scratch = np.zeros(7)
-        self._sense = self._state["sense"][0]
         self._t_ns, self._given_t_ns = self._inputs["t_ns"], self._inputs["given_t_ns"]
         self._n_ranges, self._given_m = self._inputs["n_ranges"], self._inputs["given_m"][0]
         self._demand = self._output["demand"][0]
@@ -192,25 +179,9 @@ class Follower:
             whole number or more than an hour before 0, or 100 poses in succession less than 1 µs apart: then
             the times are in another unit
         """
-        p = self._pose
-        try:
-            if len(pose) != 7 or isinstance(pose, (str, bytes)):
-                raise TypeError
-            if isinstance(pose, np.ndarray) and pose.dtype.kind in "fiu" and pose.ndim == 1:
-                p[:] = pose
-            else:
-                p[:] = [_real(v) for v in pose]
-        except (TypeError, ValueError, OverflowError):
-            raise PoseError(f"a pose is seven numbers x y z qx qy qz qw, not {pose!r}") from None
+        write_pose(self._pose, pose)
         t = kernel_time(t_ns, PoseError)
-        x, y, z, qx, qy, qz, qw = p.tolist()
-        norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
-        if not (math.isfinite(x + y + z) and abs(norm - 1.0) <= NORM_TOLERANCE):
-            raise PoseError(f"pose {p.tolist()} is not finite or its quaternion's norm is not 1")
-        if max(abs(x), abs(y), abs(z)) > MAX_POSITION_M:
-            raise PoseError(f"pose {p.tolist()} lies beyond {MAX_POSITION_M:g} m")
-        p[3:] /= norm
-        answer = int(report_pose(self._state, self._stepped_ns, t, p))
+        answer = int(report_pose(self._state, self._stepped_ns, t, self._pose))
         if answer == CLOCK_SET:
             self._latest_ns = t
             self._stamps.time.newest_ns = t
@@ -244,22 +215,7 @@ class Follower:
         -----
         The sequence of stages: docs/explanation/following.md.
         """
-        try:
-            n = len(ranges_m)
-            if n not in (self._n_channels, 1):
-                raise self._wrong_count(n)
-            if isinstance(ranges_m, np.ndarray) and ranges_m.dtype.kind in "fiu" and ranges_m.ndim == 1:
-                self._given_m[:n] = ranges_m
-            else:
-                self._given_m[:n] = [_reading(v) for v in ranges_m]
-        except UsageError:
-            raise
-        except (TypeError, ValueError, OverflowError):
-            raise UsageError(
-                f"step takes a list of ranges in m, not {ranges_m!r}; NaN or None: no reading"
-            ) from None
-        if n != self._n_channels and self._given_m[0] == self._given_m[0]:
-            raise self._wrong_count(n)
+        n = write_ranges(self._given_m, ranges_m, self._n_channels)
         t = self._stepped_ns = kernel_time(t_ns)
         if self._checks_stamps:
             t = self._checked_stamp(t, n)
@@ -275,12 +231,6 @@ class Follower:
             store_footprint(self._memory, self._state, self._output)
         demand: NDArray[np.float64] = self._demand.copy()
         return demand
-
-    def _wrong_count(self, count: int) -> UsageError:
-        return UsageError(
-            f"step takes {self._n_channels} ranges, one per sensor of the configuration, not {count}; "
-            "NaN: no reading"
-        )
 
     def _checked_stamp(self, t_ns: int, n: int) -> int:
         """The step's time; readings whose timestamp must be wrong are dropped."""

@@ -23,8 +23,8 @@ from surffollow.shm.conversion import (
 )
 from surffollow.shm.dtypes import numpy_dtype, zeros
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_board import RANGE_ITEMS, RANGES_AT, RangeItem
 from surffollow.shm.layout_follow import CHANNELS
+from surffollow.shm.layout_slot import RANGE_ITEMS, RANGES_AT, RangeItem
 from surffollow.shm.schema import F64, I64, Schema
 
 FUTURE_NS = 2_000_000  # a clock read on another processor, and a cycle that began before the push

@@ -235,7 +235,7 @@ class HeightMap(MapView):
         columns = min(int(self.header[0]["capacity_grids"]), 1 << 16)
         while True:
             scratch = np.zeros(ml.scratch_bytes(columns) // 8)
-            answer = refocus_begin(self.header, self.pairs, scratch, *limits, finest_m)
+            answer = refocus_begin(self.header, scratch, *limits, finest_m)
             if answer != ml.NO_SCRATCH or columns >= int(self.header[0]["capacity_grids"]):
                 break
             columns *= 4

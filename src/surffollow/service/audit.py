@@ -34,7 +34,7 @@ REFUSED, ASKED, CHANGED = range(3)
 BURST, PER_SECOND = {REFUSED: 16.0, ASKED: 16.0, CHANGED: 64.0}, {REFUSED: 1.0, ASKED: 1.0, CHANGED: 1.0}
 USERS = 64  # whose budgets are remembered
 KEPT = 160  # changes that nothing but later changes displaces
-_KNOWN = frozenset(int(getattr(lb, name)) for name in dir(lb) if name.startswith("RQ_"))
+_KNOWN = frozenset(lb.codes("RQ_").values())
 _CHANGES = frozenset((lb.RQ_SET_PARAMS, lb.RQ_SF_RESET, lb.RQ_STOP, lb.RQ_STOP_RESET))
 
 

@@ -18,14 +18,13 @@ from surffollow.shm.layout_board import (
     ERR_BAD_VALUE,
     ERR_BEYOND_LIMITS,
     OK,
-    REQUEST_ARGS,
     RQ_SET_PARAMS,
     RQ_SF_RESET,
     RQ_STOP,
-    STOP_TEXT_WORDS,
     AuditEntry,
 )
 from surffollow.shm.layout_follow import Params
+from surffollow.shm.layout_slot import REQUEST_ARGS, STOP_TEXT_WORDS
 from surffollow.shm.ring import ring_push
 
 _T_NS = AuditEntry.offset("t_ns") // 8

@@ -16,6 +16,7 @@ from surffollow.config.trusted_users import own_user
 from surffollow.service import memory as m
 from surffollow.service.slot_memory import SlotMemory
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm import sealed
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.latch import latch_write
@@ -112,13 +113,13 @@ class ClientTable:
             self._forget_returned()
             kept = sum(u == uid for u, _ in self._kept)
             if kept >= KEPT_PER_USER or len(self._kept) >= KEPT:
-                return lb.SLOT_USER_LIMIT, KEPT_PER_USER
+                return ls.SLOT_USER_LIMIT, KEPT_PER_USER
             taken = [w for w in self._holders if w is not None and w.uid == uid]
             if len(taken) >= self._limits.per_user:
-                return lb.SLOT_USER_LIMIT, self._limits.per_user
+                return ls.SLOT_USER_LIMIT, self._limits.per_user
             if pid > 0 and sum(w.pid == pid for w in taken) >= self._limits.per_process:
-                return lb.SLOT_PROCESS_LIMIT, self._limits.per_process
-        return lb.SLOT_OK, 0
+                return ls.SLOT_PROCESS_LIMIT, self._limits.per_process
+        return ls.SLOT_OK, 0
 
     def room_for(self, uid: int) -> int:
         """How many slots there are for this user and all others that are not exempt; for those, all."""

@@ -9,8 +9,6 @@ import threading
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 from surffollow.config.service import ServiceConfig, seconds
 from surffollow.errors import ServiceError
 from surffollow.forecast.step import sf_reset
@@ -42,11 +40,12 @@ from surffollow.service.mount_notes import MountWatch
 from surffollow.service.notify import CompileProgress, sd_notify
 from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.service.slot_server import SlotServer
+from surffollow.service.worker_threads import WorkerThreads
 from surffollow.shm import layout_board as lb
 from surffollow.shm.ending_signals import handle_ending
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_follow import Output
-from surffollow.shm.python_atomics import load_acquire, store_release
+from surffollow.shm.python_atomics import store_release
 from surffollow.shm.readable import wait_readable
 
 HOUSEKEEPING_S = 0.05
@@ -88,6 +87,7 @@ class Daemon:
             self.messages = Messages() if messages is None else messages
             self._changes = make_change_queue(self.mem)
             self._driver_watch = DriverWatch(self.driver)
+            self._threads = WorkerThreads(self.mem, self.map_mem, self.objects.address("stats"))
             self._slots = self._make_slot_server()
             self._mounts = MountWatch(self.mem.params, self.driver.info)
             self._heartbeat = Heartbeat(
@@ -103,13 +103,14 @@ class Daemon:
         except BaseException:
             self.objects.leave()
             raise
-        self._errors: list[str] = []
         self._compiling = self._in_force = False
 
     def _make_slot_server(self) -> SlotServer:
         objects, access = self.objects, self.config.access
         limits = Limits(access.slots_per_user, access.slots_per_process)
-        table = ClientTable(objects.slots, self.mem.ctx, objects.address("clients"), self._cycles, limits)
+        table = ClientTable(
+            objects.slots, self.mem.ctx, objects.address("clients"), self._threads.cycles, limits
+        )
         return SlotServer(objects.listener, table, objects.epoch)
 
     # -- run --------------------------------------------------------------------------------------
@@ -118,7 +119,6 @@ class Daemon:
         """Start the threads, announce READY, do housekeeping until asked to stop, end cleanly."""
         self._take_signals()
         side = SideCompile(with_sensors=isinstance(self.driver, SimulatedDriver))
-        threads: list[threading.Thread] = []
         try:
             realtime.prepare_process(
                 self.grants, self.config.realtime.lock_memory, self.config.realtime.dma_latency
@@ -126,14 +126,7 @@ class Daemon:
             self._require_realtime(realtime.MLOCKALL)
             if not self._compile(side) or wait_readable(self._wake, 0.0):
                 return
-            threads = [
-                threading.Thread(target=self._cycle_thread, name="cycle", daemon=True),
-                threading.Thread(target=self._map_thread, name="map", daemon=True),
-            ]
-            for t in threads:
-                t.start()
-            self._await_first_cycles()
-            self._prioritise_cycle(threads[0])
+            self._prioritise_cycle(self._threads.start())
             self._require_realtime(realtime.FIFO | realtime.AFFINITY | realtime.MLOCKALL)
             for note in self._mounts.notes():
                 self.messages.report(note)
@@ -145,7 +138,7 @@ class Daemon:
             self._watch()
         finally:
             side.end()
-            self._end(threads)
+            self._end()
 
     def _require_realtime(self, bits: int) -> None:
         """Refuse to start without the configured grants of the kernel, when it is strict about it."""
@@ -159,9 +152,8 @@ class Daemon:
     def _compile(self, side: SideCompile) -> bool:
         """Call every kernel once, which compiles it or loads it; False when asked to end meanwhile."""
         stop = self.mem.ctx.ctypes.data + 8 * m.STOP
-        self._heartbeat.compiling(
-            "compiling kernels for this machine"
-        )  # from here on telling compiles nothing
+        # from here on telling compiles nothing
+        self._heartbeat.compiling("compiling kernels for this machine")
         with CompileProgress(self.messages.write, self.quiet, self._heartbeat.compiling) as progress:
             try:
                 self._compiling = True
@@ -193,9 +185,9 @@ class Daemon:
         note_complete()
         return True
 
-    def _prioritise_cycle(self, cycle: threading.Thread) -> None:
+    def _prioritise_cycle(self, thread: int) -> None:
         real_time = self.config.realtime
-        realtime.prepare_cycle_thread(self.grants, real_time.priority, real_time.cpu, cycle.native_id or 0)
+        realtime.prepare_cycle_thread(self.grants, real_time.priority, real_time.cpu, thread)
 
     def _take_signals(self) -> None:
         if threading.current_thread() is threading.main_thread():
@@ -214,28 +206,6 @@ class Daemon:
         with contextlib.suppress(OSError):  # full, or closed because it ended
             os.write(self._waker, b"x")
 
-    def _cycle_thread(self) -> None:
-        try:
-            run_cycles(self.mem, time.monotonic_ns() + 2_000_000, np.iinfo(np.int64).max)
-        except Exception as e:  # the thread must never end unnoticed
-            self._errors.append(f"cycle thread: {e!r}")
-
-    def _map_thread(self) -> None:
-        try:
-            run_map(self.map_mem)
-        except Exception as e:
-            self._errors.append(f"map thread: {e!r}")
-
-    def _cycles(self) -> int:
-        return int(load_acquire(self.objects.address("stats") + lb.Stats.offset("cycles")))
-
-    def _await_first_cycles(self) -> None:
-        deadline = time.monotonic() + 5.0
-        while self._cycles() < 3:
-            if self._errors or time.monotonic() > deadline:
-                raise ServiceError(f"the cycle did not start: {'; '.join(self._errors) or 'no cycle in 5 s'}")
-            time.sleep(0.001)
-
     def _serve(self) -> bool:
         """Serve the clients until the next housekeeping period; True when asked to end."""
         asked = self._heartbeat.guard.run(
@@ -247,7 +217,7 @@ class Daemon:
         stall_s = seconds(self.config.watchdog, "watchdog", 0.01, 60.0)
         seen, since, stalled = -1, time.monotonic(), False
         while not self._serve():
-            cycles, now = self._cycles(), time.monotonic()
+            cycles, now = self._threads.cycles(), time.monotonic()
             if cycles != seen:
                 seen, since = cycles, now
                 sd_notify("WATCHDOG=1")
@@ -256,32 +226,26 @@ class Daemon:
                 said = f"stands still for {now - since:.3g} s; does another process hold its processor?"
                 self.messages.report(f"the cycle {said if stalled else 'runs again'}")
             self._heartbeat.publish(FAULT_CYCLE_STALLED if stalled else 0)
-            if self._errors:
-                raise ServiceError("; ".join(self._errors))
+            if self._threads.errors:
+                raise ServiceError("; ".join(self._threads.errors))
 
-    def _end(self, threads: list[threading.Thread]) -> None:
+    def _end(self) -> None:
         try:
-            self._end_threads(threads)
+            self._end_threads()
         finally:  # after any failure the names are given back
-            if not any(t.is_alive() for t in threads):
+            if not self._threads.alive():
                 self.objects.leave()
                 realtime.release(self.grants)
             os.close(self._wake)
             os.close(self._waker)
 
-    def _end_threads(self, threads: list[threading.Thread]) -> None:
+    def _end_threads(self) -> None:
         run = self._heartbeat.guard.run
         run("telling the service manager", lambda: sd_notify("STOPPING=1"), None)
         self.objects.set_state(lb.STATE_STOPPING)
         run("stopping the driver", lambda: self._driver_watch.stop(DRIVER_END_S), None)
-        for t in threads:
-            if t.native_id is not None:
-                realtime.relax_thread(t.native_id, os.sched_getaffinity(0))
-        store_release(self.mem.ctx.ctypes.data + 8 * m.STOP, 1)
-        deadline = time.monotonic() + END_S
-        for t in threads:
-            t.join(timeout=max(0.0, deadline - time.monotonic()))
-        alive = [t.name for t in threads if t.is_alive()]
+        self._threads.end(END_S)
+        alive = self._threads.alive()
         if alive:
             # its memory must not go away under a thread: leave the names to the next start and end at once
             self.messages.report(f"thread {', '.join(alive)} does not end; giving up")

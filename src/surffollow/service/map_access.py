@@ -16,14 +16,8 @@ from surffollow.service.pose_role import holder_is_gone
 from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_board import (
-    ACCESS_FREE,
-    ACCESS_GRANTED,
-    ACCESS_REQUESTED,
-    CLIENTS,
-    SLOT_HEAD,
-    SlotHead,
-)
+from surffollow.shm.layout_board import ACCESS_FREE, ACCESS_GRANTED, ACCESS_REQUESTED, CLIENTS
+from surffollow.shm.layout_slot import SLOT_HEAD, SlotHead
 from surffollow.shm.ring import ring_length
 
 _ACCESS = SLOT_HEAD + SlotHead.offset("access")

@@ -114,7 +114,7 @@ def begin_job(mem: Any) -> None:
     elif code == RQ_MAP_INSTALL:
         result = begin_install(mem)
     else:
-        result = refocus_begin(mem.header, mem.pairs, mem.scratch, x0, y0, x1, y1, size_m)
+        result = refocus_begin(mem.header, mem.scratch, x0, y0, x1, y1, size_m)
     answer = refusal(result)
     if answer != OK:
         finish_job(mem, answer)

@@ -31,14 +31,8 @@ from surffollow.shm.clock import now_ns
 from surffollow.shm.jit import jit
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
-from surffollow.shm.layout_board import (
-    ACCEPTED,
-    PIECE_BYTES,
-    PIECE_GRIDS,
-    RQ_MAP_INSTALL,
-    SLOT_STREAM,
-    Ack,
-)
+from surffollow.shm.layout_board import ACCEPTED, RQ_MAP_INSTALL, Ack
+from surffollow.shm.layout_slot import PIECE_BYTES, PIECE_GRIDS, SLOT_STREAM
 
 _ACK_STEP, _ACK_BYTES = latch_bytes(Ack.SIZE), Ack.SIZE
 _PIECE_WORDS = PIECE_BYTES // 8

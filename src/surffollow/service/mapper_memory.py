@@ -8,14 +8,8 @@ import numpy as np
 
 from surffollow.service import memory as m
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_board import (
-    PIECE_BYTES,
-    PIECE_COUNTS,
-    PIECE_GRIDS,
-    PIECE_HEIGHTS,
-    Ack,
-    MapStatus,
-)
+from surffollow.shm.layout_board import Ack, MapStatus
+from surffollow.shm.layout_slot import PIECE_BYTES, PIECE_COUNTS, PIECE_GRIDS, PIECE_HEIGHTS
 
 
 class MapMemory(NamedTuple):

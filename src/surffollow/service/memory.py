@@ -17,8 +17,9 @@ from surffollow.map.kernels.preview_line import new_kept
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.journal import CYCLE_MAX, SNAPSHOT_WORDS
-from surffollow.shm.layout_board import AUDIT_ENTRY_WORDS, CLIENTS, REQUEST_ARGS, Ack, PosePost, RequestPost
+from surffollow.shm.layout_board import AUDIT_ENTRY_WORDS, CLIENTS, Ack
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
+from surffollow.shm.layout_slot import REQUEST_ARGS, PosePost, RequestPost
 from surffollow.shm.python_atomics import load_acquire
 
 (

@@ -10,14 +10,9 @@ from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.service.stop_latch import holder_pid, stop_for
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_board import (
-    ERR_NOT_HOLDER,
-    ERR_POSE_HELD,
-    OK,
-    RQ_RELEASE_POSE,
-    SLOT_POSE,
-)
+from surffollow.shm.layout_board import ERR_NOT_HOLDER, ERR_POSE_HELD, OK, RQ_RELEASE_POSE
 from surffollow.shm.layout_follow import STOP_POSE_LOST
+from surffollow.shm.layout_slot import SLOT_POSE
 
 
 @jit

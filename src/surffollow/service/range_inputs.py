@@ -18,10 +18,10 @@ from surffollow.shm.layout_board import (
     ERR_RANGE_HELD,
     OK,
     RQ_RELEASE_RANGE,
-    SLOT_RANGES,
     Stats,
 )
 from surffollow.shm.layout_follow import CHANNELS, MAX_CONVERSIONS
+from surffollow.shm.layout_slot import SLOT_RANGES
 
 _CLAIMED = PushedRanges.offset("claimed_ns")
 _RANGES = Stats.offset("ranges")

@@ -35,7 +35,6 @@ from surffollow.shm.layout_board import (
     ERR_QUEUE_FULL,
     ERR_UNKNOWN_REQUEST,
     OK,
-    REQUEST_ARGS,
     RQ_CLAIM_POSE,
     RQ_CLAIM_RANGE,
     RQ_MAP_INSTALL,
@@ -49,13 +48,14 @@ from surffollow.shm.layout_board import (
     RQ_STOP_RESET,
     Stats,
 )
+from surffollow.shm.layout_slot import REQUEST_ARGS
 from surffollow.shm.ring import ring_push
 
 _REQUESTS = Stats.offset("requests")
 _REFUSED = Stats.offset("requests_refused")
 _TORN = Stats.offset("torn")
 _QUANTUM_PER_STANDOFF = ml.QUANTUM_PER_STANDOFF
-_MAX_SIDE_M = 1e6
+_MAX_SIDE_M = ml.MAX_REGION_M
 
 
 @jit

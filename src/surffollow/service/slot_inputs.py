@@ -9,8 +9,8 @@ from surffollow.service import memory as m
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.latch import latch_read
-from surffollow.shm.layout_board import SLOT_BYTES, SLOT_POSE, SLOT_REQUEST, PosePost, RequestPost
 from surffollow.shm.layout_follow import POSES
+from surffollow.shm.layout_slot import SLOT_BYTES, SLOT_POSE, SLOT_REQUEST, PosePost, RequestPost
 
 FUTURE_NS = 2_000_000
 POSE_OK, POSE_NONE, POSE_BAD, POSE_TORN = 0, 1, 2, 3

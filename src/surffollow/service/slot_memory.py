@@ -7,7 +7,8 @@ import os
 
 from surffollow.shm import sealed
 from surffollow.shm.board_regions import slots_bytes
-from surffollow.shm.layout_board import CLIENTS, SLOT_BYTES
+from surffollow.shm.layout_board import CLIENTS
+from surffollow.shm.layout_slot import SLOT_BYTES
 
 
 class SlotMemory:
@@ -25,7 +26,6 @@ class SlotMemory:
         self.name = name
         self._fds = [-1] * CLIENTS
         self._watches = [-1] * CLIENTS  # of memory that a client was offered
-        self.can_punch = False  # whether this kernel lets clients punch holes into their own slots
         self.address = sealed.reserve_addresses(slots_bytes())
         try:
             for slot in range(CLIENTS):
@@ -61,8 +61,7 @@ class SlotMemory:
 
     def seal(self, slot: int) -> None:
         """After the client has mapped it: no hole from now on, and every page present."""
-        if not sealed.seal_for_good(self._fds[slot]):
-            self.can_punch = True
+        sealed.seal_for_good(self._fds[slot])
         sealed.touch(self._at(slot), SLOT_BYTES)
         self._drop(slot)
 

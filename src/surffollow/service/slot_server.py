@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 from surffollow.service.client_table import ClientId, ClientTable, is_exempt
 from surffollow.shm import board_regions
-from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm.readable import wait_readable
 from surffollow.shm.received_descriptors import Disposal, receive
 from surffollow.shm.unix_socket import Peer, peer_of, peer_pidfd
@@ -30,7 +30,7 @@ EVENTS_PER_PASS = 256
 MAX_PENDING, MAX_PENDING_PER_USER = 32, 8  # connections without a slot
 BACKLOG = 64
 _RENEW_S = 0.002
-_MESSAGE = lb.SlotMessage.struct_of("magic", "name")
+_MESSAGE = ls.SlotMessage.struct_of("magic", "name")
 _LAYOUT_HASH = board_regions.layout_hash()
 ASKED, OFFERED, HELD = range(3)
 
@@ -173,21 +173,21 @@ class SlotServer:
             self._drop(connection)
             return
         if len(data) != _MESSAGE.size:
-            self._refuse(connection, lb.SLOT_BAD_MESSAGE)
+            self._refuse(connection, ls.SLOT_BAD_MESSAGE)
             return
         magic, layout, step, epoch, _, _, _, claim, name = _MESSAGE.unpack(data)
-        if magic != lb.SLOT_MAGIC or layout != _LAYOUT_HASH:
-            self._refuse(connection, lb.SLOT_BAD_MESSAGE)
-        elif step == lb.SLOT_ASK and connection.stage == -1:
+        if magic != ls.SLOT_MAGIC or layout != _LAYOUT_HASH:
+            self._refuse(connection, ls.SLOT_BAD_MESSAGE)
+        elif step == ls.SLOT_ASK and connection.stage == -1:
             self._ask(connection, epoch, name)
-        elif step == lb.SLOT_MAPPED and connection.stage == OFFERED and claim == connection.claim:
+        elif step == ls.SLOT_MAPPED and connection.stage == OFFERED and claim == connection.claim:
             self._grant(connection)
         else:
-            self._refuse(connection, lb.SLOT_BAD_MESSAGE)
+            self._refuse(connection, ls.SLOT_BAD_MESSAGE)
 
     def _ask(self, connection: Connection, epoch: int, name: bytes) -> None:
         if epoch != self._epoch:
-            self._refuse(connection, lb.SLOT_OTHER_RUN)
+            self._refuse(connection, ls.SLOT_OTHER_RUN)
             return
         text = name.split(b"\0", 1)[0].decode("utf-8", "replace")
         connection.name = "".join(c if c.isprintable() else "?" for c in text)
@@ -196,16 +196,16 @@ class SlotServer:
 
     def _offer(self, connection: Connection) -> None:
         result, detail = self.table.refusal(connection.peer.uid, connection.peer.pid)
-        if result != lb.SLOT_OK:
+        if result != ls.SLOT_OK:
             self._refuse(connection, result, detail)
             return
         slot = self.table.promise(ClientId(connection.peer.pid, connection.peer.uid, connection.name))
         if slot < 0:
             if not self.table.retiring and time.monotonic() - connection.asked > FULL_S:
-                self._refuse(connection, lb.SLOT_ALL_TAKEN, self.table.room_for(connection.peer.uid))
+                self._refuse(connection, ls.SLOT_ALL_TAKEN, self.table.room_for(connection.peer.uid))
             return
         connection.slot, connection.claim, connection.stage = slot, self.table.new_claim(), OFFERED
-        message = self._message(connection, lb.SLOT_OFFER)
+        message = self._message(connection, ls.SLOT_OFFER)
         fd = self.table.descriptor(slot)
         try:
             socket.send_fds(connection.sock, [message], [fd], socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
@@ -216,22 +216,22 @@ class SlotServer:
         try:
             self.table.grant(connection.slot, connection.claim)
         except PermissionError:  # the client has sealed it against our seals
-            self._refuse(connection, lb.SLOT_BAD_MESSAGE)
+            self._refuse(connection, ls.SLOT_BAD_MESSAGE)
             return
         connection.stage = HELD
         connection.sock.send(
-            self._message(connection, lb.SLOT_GRANT), socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT
+            self._message(connection, ls.SLOT_GRANT), socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT
         )
 
     def _refuse(self, connection: Connection, result: int, detail: int = 0) -> None:
         with contextlib.suppress(OSError):
-            message = self._message(connection, lb.SLOT_REFUSE, result, detail)
+            message = self._message(connection, ls.SLOT_REFUSE, result, detail)
             connection.sock.send(message, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
         self._drop(connection)
 
-    def _message(self, connection: Connection, step: int, result: int = lb.SLOT_OK, detail: int = 0) -> bytes:
+    def _message(self, connection: Connection, step: int, result: int = ls.SLOT_OK, detail: int = 0) -> bytes:
         return _MESSAGE.pack(
-            lb.SLOT_MAGIC,
+            ls.SLOT_MAGIC,
             _LAYOUT_HASH,
             step,
             self._epoch,

@@ -13,16 +13,9 @@ from surffollow.shm import atomics as at
 from surffollow.shm import journal
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_board import (
-    ERR_NOT_POSE_HOLDER,
-    ERR_STOP_REMAINS,
-    OK,
-    RQ_STOP,
-    SLOT_HEAD,
-    STOP_WORD,
-    SlotHead,
-)
+from surffollow.shm.layout_board import ERR_NOT_POSE_HOLDER, ERR_STOP_REMAINS, OK, RQ_STOP
 from surffollow.shm.layout_follow import STOP_REQUEST
+from surffollow.shm.layout_slot import SLOT_HEAD, STOP_WORD, SlotHead
 from surffollow.shm.map_layout import MapHeader
 
 _KEPT = MapHeader.offset("stop")

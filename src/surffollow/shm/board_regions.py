@@ -8,7 +8,6 @@ from surffollow.shm.layout_board import (
     CLIENTS,
     LAYOUT_VERSION,
     PAGE,
-    SLOT_BYTES,
     Ack,
     AuditEntry,
     BoardHeader,
@@ -16,15 +15,18 @@ from surffollow.shm.layout_board import (
     LogHead,
     MainThreadState,
     MapStatus,
+    Stats,
+)
+from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
+from surffollow.shm.layout_slot import (
+    SLOT_BYTES,
     PosePost,
     RangeItem,
     RequestPost,
     SlotHead,
     SlotMessage,
-    Stats,
     StreamPiece,
 )
-from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 from surffollow.shm.schema import Schema
 
 BOARD_PARTS: tuple[tuple[str, type[Schema], int], ...] = (

@@ -17,6 +17,7 @@ from surffollow.config.stop_causes import STOP_NAMES
 from surffollow.errors import SchemaError
 from surffollow.shm import board_regions, latch_shape, layout_follow
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 from surffollow.shm import map_layout as ml
 from surffollow.shm import world_block as wb
 from surffollow.shm.layout_follow import Output, Params
@@ -35,23 +36,23 @@ SCHEMAS: tuple[type[Schema], ...] = (
     lb.Stats,
     lb.AuditEntry,
     lb.LogHead,
-    lb.SlotMessage,
+    ls.SlotMessage,
     lb.ClientInfo,
-    lb.SlotHead,
-    lb.PosePost,
-    lb.RangeItem,
-    lb.RequestPost,
-    lb.StreamPiece,
+    ls.SlotHead,
+    ls.PosePost,
+    ls.RangeItem,
+    ls.RequestPost,
+    ls.StreamPiece,
     ml.MapHeader,
     ml.GridPair,
     wb.WorldHeader,
     wb.WorldPose,
 )
-# rules of the client library, the same in Python (a test compares)
 _SLOT_WORDS = (
     *("SLOT_ASK", "SLOT_OFFER", "SLOT_MAPPED", "SLOT_GRANT", "SLOT_REFUSE"),
     *("SLOT_ALL_TAKEN", "SLOT_USER_LIMIT", "SLOT_PROCESS_LIMIT", "SLOT_OTHER_RUN", "SLOT_BAD_MESSAGE"),
 )
+# rules of the client library, the same in Python (a test compares)
 STALE = 1 << 16
 REATTACH_EVERY_NS = 20_000_000
 LOOK_EVERY_NS = 100_000_000
@@ -121,12 +122,6 @@ def _enum(pairs: Iterable[tuple[str, int]]) -> str:
     return "enum {\n" + ",\n".join(f"  SF_{n} = {v}" for n, v in pairs) + "\n};\n"
 
 
-def _constants(*prefixes: str) -> list[tuple[str, int]]:
-    """Constants of the board's layout whose names begin so, in the order of their values."""
-    found = [(n, int(getattr(lb, n))) for n in dir(lb) if n.startswith(prefixes)]
-    return sorted(found, key=lambda pair: pair[1])
-
-
 def _defines() -> Iterator[tuple[str, str]]:
     def word(n: int) -> str:
         return f"INT64_C({n})"
@@ -134,27 +129,21 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "LAYOUT_VERSION", f"{lb.LAYOUT_VERSION}u"
     yield "LAYOUT_HASH", f"UINT64_C({board_regions.layout_hash()})"
     yield "BOARD_MAGIC", word(lb.BOARD_MAGIC)
-    yield "SLOT_MAGIC", f"UINT64_C({lb.SLOT_MAGIC})"
+    yield "SLOT_MAGIC", f"UINT64_C({ls.SLOT_MAGIC})"
     yield "MAP_MAGIC", f"UINT64_C({ml.MAGIC})"
     yield "MAP_LAYOUT_HASH", f"UINT64_C({ml.LAYOUT_HASH})"
     yield "WORLD_MAGIC", word(wb.MAGIC)
     yield "WORLD_LAYOUT_HASH", f"UINT64_C({wb.WorldPose.HASH})"
     yield "WORLD_BYTES", str(wb.SIZE)
+    yield "CLIENTS", str(lb.CLIENTS)
+    yield "PAGE", str(lb.PAGE)
     for name in (
-        *(
-            "CLIENTS",
-            "PAGE",
-            "REQUEST_ARGS",
-            "SLOT_BYTES",
-            "SLOT_HEAD",
-            "SLOT_POSE",
-            "SLOT_REQUEST",
-            "STOP_WORD",
-        ),
+        *("REQUEST_ARGS", "SLOT_BYTES", "SLOT_HEAD", "SLOT_POSE", "SLOT_REQUEST", "STOP_WORD"),
         *("SLOT_RANGES", "RANGES_AT", "RANGE_ITEMS"),
-        *("SLOT_STREAM", "PIECE_BYTES", "PIECE_GRIDS", "PIECE_HEIGHTS", "PIECE_COUNTS"),
-        *("STOP_TEXT_WORDS", "AUDIT_WORDS", "AUDIT_ENTRY_WORDS", "AUDIT_ENTRIES"),
+        *("SLOT_STREAM", "PIECE_BYTES", "PIECE_GRIDS", "PIECE_HEIGHTS", "PIECE_COUNTS", "STOP_TEXT_WORDS"),
     ):
+        yield name, str(getattr(ls, name))
+    for name in ("AUDIT_WORDS", "AUDIT_ENTRY_WORDS", "AUDIT_ENTRIES"):
         yield name, str(getattr(lb, name))
     yield "REGIONS", str(lb.BoardHeader.field("region").count)
     yield "CHANNELS", str(layout_follow.CHANNELS)
@@ -180,7 +169,7 @@ def _defines() -> Iterator[tuple[str, str]]:
 
 
 def _answers() -> str:
-    answers = [("OK", lb.OK), ("ACCEPTED", lb.ACCEPTED), *_constants("ERR_")]
+    answers = [("OK", lb.OK), ("ACCEPTED", lb.ACCEPTED), *lb.codes("ERR_").items()]
     answers.sort(key=lambda pair: pair[1])
     if [v for _, v in answers] != list(range(len(lb.RESULT_TEXT))):
         raise SchemaError("every answer of the service needs one text in RESULT_TEXT")
@@ -241,10 +230,10 @@ def layout_text() -> str:
     pieces = [
         "/* ---- layout: generated ------------------------------------------------------------ */\n",
         "".join(f"#define SF_{n} {v}\n" for n, v in _defines()),
-        _enum(_constants("RQ_")),
-        _enum(_constants("STATE_")),
-        _enum(_constants("ACCESS_")),
-        _enum((n, int(getattr(lb, n))) for n in _SLOT_WORDS),
+        _enum(lb.codes("RQ_").items()),
+        _enum(lb.codes("STATE_").items()),
+        _enum(lb.codes("ACCESS_").items()),
+        _enum((n, int(getattr(ls, n))) for n in _SLOT_WORDS),
         _enum(map_states),
         _enum(rounding),
         _answers(),

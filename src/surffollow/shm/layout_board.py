@@ -1,7 +1,6 @@
-"""The board of the service, the slots of its clients, and the messages by which a client gets its slot.
+"""The board NAME, which the service alone writes: its records, and the codes of requests and answers.
 
-The board NAME is written by the service alone. A slot is a sealed memfd that the service makes and hands
-to one client through the socket NAME.sock. (The map object NAME.map is in `map_layout`.)
+The slots of its clients are in `layout_slot`, the map object NAME.map is in `map_layout`.
 """
 
 from __future__ import annotations
@@ -12,12 +11,9 @@ from surffollow.shm.layout_follow import CHANNELS
 from surffollow.shm.schema import F64, I64, U32, U64, Nested, Schema, Text
 
 BOARD_MAGIC = int.from_bytes(b"SURFBRD1", "little")
-SLOT_MAGIC = int.from_bytes(b"SURFSLT1", "little")
 LAYOUT_VERSION = 3
-STOP_WORD = int.from_bytes(b"STOP", "little")  # no garbage that a faulty client writes
 CLIENTS = 16
 PAGE = 4096
-REQUEST_ARGS = 16
 HISTOGRAM_BINS = 512  # 8 per octave of nanoseconds
 
 STATE_INITIALISING, STATE_READY, STATE_STOPPING, STATE_STOPPED = 0, 1, 2, 3
@@ -80,21 +76,13 @@ RESULT_TEXT = (
     "the service takes no pushed ranges from this user (access.ranges in the configuration)",
 )
 
-# steps of the exchange that gives a client its slot (docs/reference/protocol.md)
-SLOT_ASK, SLOT_OFFER, SLOT_MAPPED, SLOT_GRANT, SLOT_REFUSE = range(1, 6)
-# why a client gets none
-SLOT_OK, SLOT_ALL_TAKEN, SLOT_USER_LIMIT, SLOT_PROCESS_LIMIT, SLOT_OTHER_RUN, SLOT_BAD_MESSAGE = range(6)
-SLOT_TEXT = (
-    "granted",
-    "all client slots are taken; end a client",
-    "this user holds as many slots as access.slots_per_user allows; end one of its clients",
-    "this process holds as many slots as access.slots_per_process allows; close an attachment",
-    "the service was restarted since the board was opened; attach again",
-    "the message is not of this release's protocol; use client and service of one release",
-)
-
 # exclusive access, the paper's four steps
 ACCESS_FREE, ACCESS_REQUESTED, ACCESS_GRANTED, ACCESS_DONE = 0, 1, 2, 3
+
+
+def codes(prefix: str) -> dict[str, int]:
+    """Numbers above whose names begin with STATE_, RQ_, ERR_ or ACCESS_, by name, in ascending order."""
+    return dict(sorted(((n, v) for n, v in globals().items() if n.startswith(prefix)), key=lambda nv: nv[1]))
 
 
 class Region(Schema):
@@ -219,55 +207,6 @@ class LogHead(Schema):
     pad = I64(7)
 
 
-class PosePost(Schema):
-    """A pose, as ee_pos posts it."""
-
-    t_ns = I64(unit="ns", doc="when the pose was true")
-    pose = F64(7, unit="m, 1", doc="x y z qx qy qz qw, world from tool")
-
-
-class RangeItem(Schema):
-    """One pushed range, in the ring of RANGE_ITEMS in a slot."""
-
-    number = I64(doc="of the item, from 1; the ring's head once it is there")
-    t_ns = I64(unit="ns", doc="when the range was true; the driver's latency is taken off")
-    channel = I64()
-    range_m = F64(unit="m", doc="NaN or infinite: no reading")
-
-
-class RequestPost(Schema):
-    """A request; the counter is inside so that the copy is whole."""
-
-    counter = I64()
-    code = I64(doc="RQ_…")
-    n = I64(doc="arguments used")
-    claim = I64(doc="of this attachment")
-    number = I64(REQUEST_ARGS, doc="parameter numbers, map sizes, …")
-    value = F64(REQUEST_ARGS, doc="values, region, offset")
-
-
-class SlotHead(Schema):
-    """First line of a slot."""
-
-    access = I64(doc="the client's half of the four-step flag")
-    stop = I64(doc="STOP_WORD + 2^32 k: every new k stops; one store, for signal handlers, too")
-    pad = I64(6)
-
-
-class SlotMessage(Schema):
-    """Every message on NAME.sock, in both directions."""
-
-    magic = U64(doc="'SURFSLT1'")
-    layout_hash = U64(doc="as in the board's header")
-    step = I64(doc="SLOT_ASK, SLOT_OFFER, SLOT_MAPPED, SLOT_GRANT or SLOT_REFUSE")
-    epoch = I64(doc="of the board that the client has opened")
-    result = I64(doc="SLOT_OK, or why the client gets no slot")
-    detail = I64(doc="of a refusal: the limit that is reached")
-    slot = I64(doc="number of the slot offered or granted")
-    claim = I64(doc="number of this attachment, never 0, which answers and grants bear")
-    name = Text(32, doc="how the service's status names the client")
-
-
 class ClientInfo(Schema):
     """Holder of a slot, from the kernel (SO_PEERCRED)."""
 
@@ -278,34 +217,6 @@ class ClientInfo(Schema):
     pad = I64()
 
 
-class StreamPiece(Schema):
-    """Head of one half of a slot's stream area: a piece of a map that is being installed.
-
-    Behind it PIECE_GRIDS heights (int16), then PIECE_GRIDS counts (uint8).
-    """
-
-    sequence = I64(doc="number of the piece, from 1; stored last; odd ones in the second half")
-    counter = I64(doc="of the request")
-    claim = I64(doc="of the client")
-    start = I64(doc="index of its first grid; -1: the client gives up")
-    n = I64(doc="grids; PIECE_GRIDS in all but the last")
-    pad = I64(3)
-
-
-# offsets inside a slot; the ring of pushed ranges is a word, the items pushed so far, and the items
-SLOT_BYTES = 65536
-SLOT_HEAD = 0
-SLOT_POSE = 256
-SLOT_REQUEST = 1024
-SLOT_RANGES = 2560
-RANGES_AT = 64  # from there to the items: the head has a cache line of its own
-RANGE_ITEMS = 128
-SLOT_STREAM = 8192  # an installed map is streamed through the rest
-PIECE_BYTES = (SLOT_BYTES - SLOT_STREAM) // 2
-PIECE_GRIDS = (PIECE_BYTES - StreamPiece.SIZE) // 24 * 8  # whole words of heights and of counts
-PIECE_HEIGHTS = StreamPiece.SIZE
-PIECE_COUNTS = PIECE_HEIGHTS + 2 * PIECE_GRIDS
-STOP_TEXT_WORDS = 8  # of a stop's reason, in the numbers of its request: UTF-8, filled up with NUL
 AUDIT_WORDS = 1 << 13
 AUDIT_ENTRY_WORDS = AuditEntry.SIZE // 8
 AUDIT_ENTRIES = AUDIT_WORDS // AUDIT_ENTRY_WORDS - 1  # the oldest may be half overwritten

@@ -13,6 +13,7 @@ from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
 from surffollow.shm import board_regions, cheader, latch_shape, sealed
 from surffollow.shm import layout_board as lb
 from surffollow.shm import layout_follow as lf
+from surffollow.shm import layout_slot as ls
 from surffollow.shm import map_layout as ml
 from surffollow.shm import world_block as wb
 from surffollow.shm.bit_names import FIRST_SERVICE_FAULT
@@ -100,7 +101,7 @@ def _objects() -> dict[str, Any]:
     def at(offset: int, kind: str, schema: type[Schema], **more: Any) -> dict[str, Any]:
         return {"offset": offset, "kind": kind, "struct": c_name(schema), **more}
 
-    pieces = [lb.SLOT_STREAM + k * lb.PIECE_BYTES for k in range(2)]
+    pieces = [ls.SLOT_STREAM + k * ls.PIECE_BYTES for k in range(2)]
     return {
         "board": {
             "path": "/dev/shm/NAME",
@@ -112,30 +113,30 @@ def _objects() -> dict[str, Any]:
         },
         "slot": {
             "path": None,
-            "bytes": lb.SLOT_BYTES,
+            "bytes": ls.SLOT_BYTES,
             "parts": [
-                at(lb.SLOT_HEAD, "plain", lb.SlotHead, name="head"),
-                at(lb.SLOT_POSE, "latch", lb.PosePost, name="pose"),
-                at(lb.SLOT_REQUEST, "latch", lb.RequestPost, name="request"),
+                at(ls.SLOT_HEAD, "plain", ls.SlotHead, name="head"),
+                at(ls.SLOT_POSE, "latch", ls.PosePost, name="pose"),
+                at(ls.SLOT_REQUEST, "latch", ls.RequestPost, name="request"),
                 at(
-                    lb.SLOT_RANGES,
+                    ls.SLOT_RANGES,
                     "ring",
-                    lb.RangeItem,
+                    ls.RangeItem,
                     name="ranges",
-                    items=lb.RANGE_ITEMS,
-                    items_at=lb.RANGES_AT,
-                    stride=lb.RangeItem.SIZE,
+                    items=ls.RANGE_ITEMS,
+                    items_at=ls.RANGES_AT,
+                    stride=ls.RangeItem.SIZE,
                 ),
                 *(
                     at(
                         where,
                         "plain",
-                        lb.StreamPiece,
+                        ls.StreamPiece,
                         name=f"stream{k}",
-                        bytes=lb.PIECE_BYTES,
-                        grids=lb.PIECE_GRIDS,
-                        heights_at=lb.PIECE_HEIGHTS,
-                        counts_at=lb.PIECE_COUNTS,
+                        bytes=ls.PIECE_BYTES,
+                        grids=ls.PIECE_GRIDS,
+                        heights_at=ls.PIECE_HEIGHTS,
+                        counts_at=ls.PIECE_COUNTS,
                     )
                     for k, where in enumerate(pieces)
                 ),
@@ -174,15 +175,15 @@ def _handshake() -> dict[str, Any]:
         "path": "/dev/shm/NAME.sock",
         "family": "AF_UNIX",
         "type": "SOCK_SEQPACKET",
-        "struct": c_name(lb.SlotMessage),
-        "magic": {"text": "SURFSLT1", "value": hex64(lb.SLOT_MAGIC)},
+        "struct": c_name(ls.SlotMessage),
+        "magic": {"text": "SURFSLT1", "value": hex64(ls.SLOT_MAGIC)},
         "hash": hex64(board_regions.layout_hash()),
         "seals": sealed.SIZE_SEALS,
         "messages": [
             {
                 "rule": rule,
                 "from": who,
-                "step": int(getattr(lb, step)),
+                "step": int(getattr(ls, step)),
                 "name": step,
                 "fields": ["magic", "layout_hash", "step", *fields],
                 "descriptors": descriptors,
@@ -197,10 +198,10 @@ def _limits() -> dict[str, float]:
         "clients": lb.CLIENTS,
         "channels": lf.CHANNELS,
         "page_bytes": lb.PAGE,
-        "request_args": lb.REQUEST_ARGS,
-        "stop_reason_bytes": 8 * lb.STOP_TEXT_WORDS - 1,
-        "client_name_bytes": lb.SlotMessage.field("name").size - 1,
-        "piece_grids": lb.PIECE_GRIDS,
+        "request_args": ls.REQUEST_ARGS,
+        "stop_reason_bytes": 8 * ls.STOP_TEXT_WORDS - 1,
+        "client_name_bytes": ls.SlotMessage.field("name").size - 1,
+        "piece_grids": ls.PIECE_GRIDS,
         "audit_entries": lb.AUDIT_ENTRIES,
         "max_region_m": ml.MAX_REGION_M,
         "max_position_m": MAX_POSITION_M,
@@ -256,7 +257,7 @@ def layout_document() -> dict[str, Any]:
         "bits": bits(),
         "requests": requests(),
         "answers": [{"result": k, "name": answers[k], "text": t} for k, t in enumerate(lb.RESULT_TEXT)],
-        "slot_refusals": [{"result": k, "text": t} for k, t in enumerate(lb.SLOT_TEXT)],
+        "slot_refusals": [{"result": k, "text": t} for k, t in enumerate(ls.SLOT_TEXT)],
         "parameters": parameters(),
         "limits": _limits(),
         "waits": _waits(),

@@ -10,6 +10,7 @@ from surffollow.shm import cheader
 from surffollow.shm import layout_adaptive as la
 from surffollow.shm import layout_board as lb
 from surffollow.shm import layout_follow as lf
+from surffollow.shm import layout_slot as ls
 from surffollow.shm import map_layout as ml
 from surffollow.shm.bit_names import GRANT_NAMES, SERVICE_FAULT_NAMES
 from surffollow.shm.request_table import REQUESTS, Argument
@@ -20,12 +21,6 @@ _REFUSALS = (
     *("SLOT_OK", "SLOT_ALL_TAKEN", "SLOT_USER_LIMIT"),
     *("SLOT_PROCESS_LIMIT", "SLOT_OTHER_RUN", "SLOT_BAD_MESSAGE"),
 )
-# of the service and the Python client, which stand on layers above (a test compares)
-
-
-def _constants(prefix: str) -> dict[str, int]:
-    names = [n for n in dir(lb) if n.startswith(prefix)]
-    return dict(sorted(((n, int(getattr(lb, n))) for n in names), key=lambda pair: pair[1]))
 
 
 def enums() -> dict[str, dict[str, int]]:
@@ -33,9 +28,9 @@ def enums() -> dict[str, dict[str, int]]:
         return {name: k for k, name in enumerate(names)}
 
     return {
-        **{name: _constants(prefix) for name, prefix in _PREFIXES.items()},
-        "slot_step": {n: int(getattr(lb, n)) for n in _STEPS},
-        "slot_result": {n: int(getattr(lb, n)) for n in _REFUSALS},
+        **{name: lb.codes(prefix) for name, prefix in _PREFIXES.items()},
+        "slot_step": {n: int(getattr(ls, n)) for n in _STEPS},
+        "slot_result": {n: int(getattr(ls, n)) for n in _REFUSALS},
         "map_state": numbered(ml.STATE_NAMES),
         "map_rounding": numbered(ml.ROUNDING_NAMES),
         "health": numbered(la.HEALTH_NAMES),
@@ -61,8 +56,7 @@ def bits() -> dict[str, dict[str, int]]:
 
 
 def answer_names() -> dict[int, str]:
-    names = {int(getattr(lb, n)): n for n in dir(lb) if n.startswith("ERR_")}
-    return {**names, lb.OK: "OK", lb.ACCEPTED: "ACCEPTED"}
+    return {**{v: n for n, v in lb.codes("ERR_").items()}, lb.OK: "OK", lb.ACCEPTED: "ACCEPTED"}
 
 
 def _argument(a: Argument) -> dict[str, Any]:
@@ -82,7 +76,7 @@ def _argument(a: Argument) -> dict[str, Any]:
 
 
 def requests() -> list[dict[str, Any]]:
-    names = {v: n for n, v in _constants("RQ_").items()}
+    names = {v: n for n, v in lb.codes("RQ_").items()}
     answers = answer_names()
 
     def results_of(results: dict[int, str]) -> list[dict[str, Any]]:

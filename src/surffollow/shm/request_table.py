@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from surffollow.shm import layout_board as lb
+from surffollow.shm import layout_slot as ls
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ REQUESTS: tuple[Request, ...] = (
             lb.ERR_NOT_POSE_HOLDER: _HOLDER,
         },
         {},
-        n=f"parameters in the request, 1 to {lb.REQUEST_ARGS}",
+        n=f"parameters in the request, 1 to {ls.REQUEST_ARGS}",
     ),
     Request(
         lb.RQ_CLAIM_POSE,
@@ -178,7 +179,7 @@ REQUESTS: tuple[Request, ...] = (
             Argument(
                 "number",
                 0,
-                lb.STOP_TEXT_WORDS,
+                ls.STOP_TEXT_WORDS,
                 "reason",
                 doc="UTF-8 in the bytes of these words, filled up with NUL",
             ),

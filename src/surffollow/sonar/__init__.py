@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["WallPose", "fused_pose", "optimal_pair", "wall_pose", "walls"]
+# name → module
+_HOME = {
+    "WallPose": "wall",
+    "fused_pose": "fused_poses",
+    "optimal_pair": "pair_poses",
+    "wall_pose": "pair_poses",
+    "walls": "fused_poses",
+}
+
+__all__ = sorted(_HOME)
 
 
 def __dir__() -> list[str]:
@@ -14,8 +23,8 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str) -> Any:
     """Load a name on its first use: all of them load numba."""
-    if name in __all__:
+    if name in _HOME:
         from surffollow.extras import attribute_of
 
-        return attribute_of("surffollow.sonar.poses", name)
+        return attribute_of(f"surffollow.sonar.{_HOME[name]}", name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

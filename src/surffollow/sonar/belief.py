@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import UsageError
 from surffollow.sonar.agreement import CONTRADICTION, INLIER, count_agreement
-from surffollow.sonar.poses import wall_pose, walls
+from surffollow.sonar.fused_poses import walls
+from surffollow.sonar.pair_poses import wall_pose
 from surffollow.sonar.ring import Pose, SonarRing
 from surffollow.sonar.wall import WallPose
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from surffollow.shm.jit import jit
 from surffollow.sonar.agreement import count_agreement
 from surffollow.sonar.beam import wrap
@@ -23,7 +26,14 @@ from surffollow.sonar.pair import (
 
 COST, FIRST, SECOND, INLIERS, CONTRADICTIONS = range(SOLUTION, SOLUTION + 5)
 CANDIDATE = SOLUTION + 5  # columns of a candidate
+MAX_CANDIDATES = 8192
 REFERENCE_LENGTH_M = 1.0  # L in L²·var φ + var d
+
+
+def room_for_pairs(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`found` and `candidates` of `find_candidates` for m readings."""
+    n = min(MAX_CANDIDATES, MAX_SOLUTIONS * m * (m - 1) // 2 + 1)
+    return np.empty((MAX_SOLUTIONS + 1, SOLUTION)), np.empty((n, CANDIDATE))
 
 
 @jit

@@ -97,6 +97,12 @@ class WallPose:
         return replace(self, phi_rad=phi, distance_m=distance, covariance=covariance)
 
 
+def wall_of(row: NDArray[np.float64], sensors: tuple[int, ...]) -> WallPose:
+    """The wall of a solution (φ, d, var φ, cov, var d) and of the readings that saw it."""
+    covariance = np.array([[row[2], row[3]], [row[3], row[4]]])
+    return WallPose(float(row[0]), float(row[1]), covariance, sensors)
+
+
 def mark_favoured(
     found: list[WallPose],
     headings_rad: NDArray[np.float64],

@@ -22,7 +22,7 @@ class _Finder:
     """Common parts of both formats: waiting input, rejections, confirmation after them."""
 
     def __init__(self, form: Format) -> None:
-        self._form, self._scale_m, self._zero_m = form, form.scale_m(), form.zero_m
+        self._scale_m, self._zero_m = form.scale_m(), form.zero_m
         self._no_target = frozenset(form.no_target_values)
         self._held: tuple[int, int, float | None] | None = None
         self._waiting = bytearray()

@@ -29,7 +29,6 @@ _MIX2 = np.uint64(0x94D049BB133111EB)
 _U1 = np.uint64(1)
 _BLOCK = 64
 _ULP32 = 2.0**-32
-_LOW32 = 0xFFFFFFFF
 
 _MAX = float(ml.MAX_HEIGHT)
 _UNKNOWN = ml.UNKNOWN

@@ -50,7 +50,6 @@ def snap_to_grids(w: Any) -> None:
 @jit
 def refocus_begin(
     header: Any,
-    pairs: Any,
     scratch: Any,
     x_min: Any,
     y_min: Any,
@@ -63,7 +62,6 @@ def refocus_begin(
     Parameters
     ----------
     header : (1,) structured `MapHeader`
-    pairs : (n,) structured `GridPair`
     scratch : (k,) float64                    kept with the map until the last step
     x_min, y_min, x_max, y_max : float64      new region of interest [m]
     finest_grid_m : float64                   finest useful grid of this refocus [m]; 0: the header's
