@@ -34,7 +34,7 @@ class NaiveResponse:
     readings: list[float] = field(default_factory=list)
     last_ns: int | None = None
     settled_ns: int = 0
-    returned_ns: int = 0
+    proven_m: float = 0.0
     repeats: int = 0
     usual_repeats: float = 0.0
     spread_m: float = 0.0
@@ -82,7 +82,8 @@ class NaiveResponse:
         begins = dt_s is None or dt_s < 0.0
         if dt_s is not None and dt_s > self.gap_s:  # an answer takes time with samples
             self.begin_ns = t_ns
-            self.shift_ns = t_ns if self.shift_ns is not None else None
+            if self.phase == RUN and self.shift_ns is not None:
+                self.shift_ns, self.shift_z_m = t_ns, z_m
         if self.last_ns is None:
             self.mean_m = self.run_m = 0.0
             self.in_run = 0
@@ -116,11 +117,10 @@ class NaiveResponse:
             back_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s
             back_ns = t_ns + int(1e9 * back_s)
             if begins:
-                self.settled_ns = self.returned_ns = 0
+                self.settled_ns, self.proven_m = 0, 0.0
             elif tests:
                 self.settled_ns = back_ns
-            if not begins and self.phase != RUN:
-                self.returned_ns = back_ns + int(1e9 * r.ANSWER_TAUS * self.tau_s)
+                self.proven_m = 0.0 if self.rose else self.mean_m
             if begins or abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m:
                 self.mean_m = range_m
             self._begin_run(z_m)
@@ -152,8 +152,19 @@ class NaiveResponse:
         enough = motion_m > c.MOTION_BANDS * self.band_m
         quiet = self.is_quiet
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
-        comes_back = suspicious and t_ns < self.returned_ns and not repeats
-        steep = not rises and (comes_back or rate_mps * self.answer_s > r.STEEP * self.standoff_m)
+        steep = not rises and rate_mps * self.answer_s > r.STEEP * self.standoff_m
+        wait_s = self.answer_s
+        if steep:
+            wait_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s - self.tau_s
+        if self.run_error_m() < max(self.band_m, m.LAG_TAUS * self.tau_s * rate_mps):
+            self.proven_m = 0.0
+        comes_back = self.proven_m > 0.0 and not rises and not repeats
+        least_m = c.MOTION_BANDS * self.band_m
+        if comes_back:
+            taken_m = rate_mps * (wait_s + self.delay_s + self.tau_s)
+            room_m = min(r.MAX_DESCENT * self.standoff_m - taken_m, c.SHIFT_DESCENT * self.standoff_m)
+            higher_m = self.proven_m - self.standoff_m if self.number > m.MIN_READINGS else 0.0
+            least_m = max(least_m, room_m + higher_m)
         if self.in_run <= (1.0 if steep else c.MIN_MEANS) * self.number:
             return
         if rises and self.number <= m.MIN_READINGS and not repeats:
@@ -166,17 +177,21 @@ class NaiveResponse:
         if t_ns < self.settled_ns and not repeats:
             suspicious = doubtful = distant = False
         sign = doubtful or (enough and distant) or suspicious
-        if self.shift_ns is None and ((long and sign) or (steep and enough)):
+        if comes_back:
+            suspicious, sign = False, descent_m > least_m and t_ns >= self.settled_ns
+        if self.shift_ns is None and ((long and sign) or ((steep or comes_back) and descent_m > least_m)):
             self.shift_ns, self.lift_m = t_ns, (2.0 if steep else 1.0) * r.SHIFT_BANDS * self.band_m
-        wait_s = self.answer_s
-        if steep:
-            wait_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s - self.tau_s
+            self.shift_z_m, self.shift_lead_m = z_m, self._lead_m(z_m)
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > wait_s
         self.rose = rises
         if rises and unanswered:
             self._lift(t_ns, z_m, self.lift_m + c.MOTION_BANDS * self.band_m + self.tau_s * rate_mps)
-        elif not rises and (unanswered or far or (suspicious and not comes_back)):
+        elif not rises and (unanswered or far or suspicious):
             self.phase, self.begin_ns, self.begin_z_m, self.lift_m = HOLD, t_ns, z_m, 0.0
+
+    def run_error_m(self) -> float:
+        """Error of the mean range, positive above the stand-off."""
+        return self.mean_m - self.standoff_m
 
     def _lift(self, t_ns: int, z_m: float, lift_m: float) -> None:
         self.lead_before_m = self._lead_m(z_m) - self.lift_m
@@ -216,7 +231,12 @@ class NaiveResponse:
     def target_in_test_m(self, target_m: float) -> float:
         """The target, shifted up in a long run or in the test of an ascent, or what a test asks for."""
         if self.phase == RUN:
-            return target_m + self.lift_m
+            shifted = self.shift_ns is not None and not self.rose
+            if not shifted or self.shift_lead_m >= -self.lift_m:
+                return target_m + self.lift_m
+            rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
+            since_s = (self.last_ns - self.shift_ns) * 1e-9 + self.tau_s
+            return max(target_m + self.lift_m, self.shift_z_m - rate_mps * since_s + self.lift_m)
         if self.phase == NONE:
             return min(target_m + 2.0 * self.lift_m, self.highest_m)
         lowest_m = self.begin_z_m if self.rose else self.begin_z_m + self.lift_m

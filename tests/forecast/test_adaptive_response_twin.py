@@ -69,7 +69,8 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
             (twin.repeats, twin.usual_repeats, twin.mean_m, twin.run_m, twin.top_z_m, twin.low_z_m)
         )
         target = z + STANDOFF_M - read
-        lowest, highest = setpoint_range(record)
+        adaptive["clock"]["now_ns"] = t_ns
+        lowest, highest = setpoint_range(adaptive, 0.0)
         asked = min(max(target + setpoint_shift_m(record), lowest), highest)
         expected = twin.target_in_test_m(target)
         assert abs(asked - expected) <= max(1e-12, 1e-6 * abs(expected)), (seed, k)

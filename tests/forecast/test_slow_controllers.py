@@ -52,6 +52,17 @@ def test_hills_are_followed_under_a_slow_controller(period, reading):
     assert np.mean(ours) < 0.7 * np.mean(plain)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("period", "damping"), [(1.0, 0.2), (1.75, 0.5), (2.5, 0.2)])
+def test_an_axis_that_is_not_the_assumed_one_does_not_oscillate(period, damping, seed):
+    """GIVEN reports every 1 to 2.5 τ and an axis that overshoots THEN the tool keeps its distance."""
+    job = replace(ARM, pose_s=period * TAU_S, damping=damping)
+    run = follow(job, lambda x, t: 0.05 * x, 300 * TAU_S, 0.3 * STANDOFF_M / TAU_S, seed=seed)
+    print(f"RMS {run.rms_m(job) / STANDOFF_M:.3f} stand-offs")
+    assert run.rms_m(job) < 0.05 * STANDOFF_M
+    assert run.clearance_m.min() > 0.8 * STANDOFF_M
+
+
 @pytest.mark.parametrize("period", [1.75, 2.5, 4.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_tool_at_rest_stays_under_a_slow_controller(period, seed):

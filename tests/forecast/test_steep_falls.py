@@ -42,6 +42,17 @@ def test_a_good_sensor_over_a_steep_fall_is_tested_by_small_shifts(job, slope, s
     assert run.clearance_m.max() < 2.0 * job.standoff_m
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("share", [0.8, 0.9, 0.95])
+def test_a_tool_near_the_greatest_speed_of_its_axis_is_not_tested_away_from_the_ground(share, seed):
+    """GIVEN a long fall at a share of the axis' speed WHEN the sensor is good THEN the tool stays near it."""
+    job = Job(0.1, 0.04, 0.006, 0.004, 0.125, 3.125, 0.001, (0.03, 0.3))
+    run = follow(job, fall(share * job.v_max_mps / 0.5, 0.4), 300 * job.tau_s, 0.5, seed=seed)
+    print(f"RMS {run.rms_m(job) / job.standoff_m:.3f} stand-offs")
+    assert run.rms_m(job) < 0.25 * job.standoff_m
+    assert run.clearance_m.max() < 1.5 * job.standoff_m
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_good_sensor_stays_used_when_the_stand_off_changes_over_a_fall(seed):
     """GIVEN a fall of 40 % WHEN the stand-off is set between 70 and 140 mm THEN it is never STUCK."""

@@ -16,7 +16,10 @@ P_GAIN = 0.7
 
 @dataclass(frozen=True)
 class Job:
-    """Stand-off and noise [m], τ, intervals of readings and poses [s], limits of the axis, window [m]."""
+    """Stand-off and noise [m], τ, intervals of readings and poses [s], limits of the axis, window [m].
+
+    `damping`: damping ratio of an axis of second order with the natural frequency 1/τ; 0: one with a lag τ.
+    """
 
     standoff_m: float
     tau_s: float
@@ -26,6 +29,7 @@ class Job:
     a_max_mps2: float
     sigma_m: float
     window_m: tuple[float, float]
+    damping: float = 0.0
 
 
 CELL = Job(0.1, 0.04, 0.004, 0.004, 0.5, 5.0, 0.25e-3, (0.03, 0.3))
@@ -103,7 +107,10 @@ def follow(
             if ms > 100 * seconds:
                 clearance.append(z - ground)
                 states.append(f.state())
-        wanted = min(max((target - z) / job.tau_s, -job.v_max_mps), job.v_max_mps)
+        wanted = (target - z) / job.tau_s
+        if job.damping > 0.0:
+            wanted = v + (wanted - 2.0 * job.damping * v) * dt / job.tau_s
+        wanted = min(max(wanted, -job.v_max_mps), job.v_max_mps)
         v += min(max(wanted - v, -job.a_max_mps2 * dt), job.a_max_mps2 * dt)
         z += v * dt
     return Run(np.array(clearance), states)

@@ -120,14 +120,14 @@ class Response(Schema):
     rises = I64(doc="1: the tool climbs, or climbed when the test began")
     lead_m = F64(unit="m", doc="excess lead of the unshifted setpoint when the lift began")
     missing_m = F64(unit="m", doc="by which the tool misses a lift; of an ascent, a running mean")
-    test_z_m = F64(unit="m", doc="height of the tool when the phase of the test began")
+    test_z_m = F64(unit="m", doc="height of the tool when phase or shift began")
     ceiling_z_m = F64(unit="m", doc="greatest setpoint in a lift, and of a sensor that did not respond")
     test_ns = I64(unit="ns", doc="when phase or shift began")
     swing_m = F64(unit="m", doc="half the spread of the ranges in a descent that is tested; 0: another test")
     settled_ns = I64(
         unit="ns", doc="the tool is back from a test or shift; before, no sign of a fault counts"
     )
-    returned_ns = I64(unit="ns", doc="the error of a test is gone; before, none is a sign for a hold")
+    proven_m = F64(unit="m", doc="mean range that answered a test or shift; 0: the tool is back from it")
 
 
 class Repeats(Schema):

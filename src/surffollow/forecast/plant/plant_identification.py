@@ -7,11 +7,11 @@ errors are equal, and the configured time constant stays.
 
 import math
 
-from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.estimation.noise import MIN_NOISE_M, range_noise_m
 from surffollow.forecast.modes import learns
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose, newest_until, pose_at
-from surffollow.forecast.quantities import MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
+from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
 from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit, jit_inlined
@@ -42,7 +42,7 @@ def reset_axes(params, adaptive, t_ns, z_m):
         plant.position_m[k], plant.velocity_mps[k] = z_m, climb_mps
     plant.axis_m, plant.axis_mps = z_m, climb_mps
     plant.t_ns = t_ns
-    plant.offset_m = plant.scatter_m = plant.coast_scatter_m = 0.0
+    plant.offset_m = plant.scatter_m = 0.0
     if plant.tau_configured_s != params.plant_tau_s:  # or nothing has begun yet
         plant.tau_s = plant.tau_configured_s = params.plant_tau_s
         plant.error_m2[:] = 0.0
@@ -142,6 +142,8 @@ def update_plant(params, adaptive, sense, inputs):
             plant.error_m2[k] -= least
     applied = adaptive.controller.periods > 0 and setpoint.t_ns != 0 and setpoint.in_dryrun == 0
     continues = plant.t_ns < t <= plant.t_ns + axis_model.MAX_AXIS_GAP_NS
+    if plant.t_ns < t <= plant.t_ns + LONG_GAP_NS:
+        plant.coast_scatter_m = follow_usual(plant.coast_scatter_m, abs(z - adaptive.kinematics.coasted_m))
     if not applied or not continues or plant.tau_configured_s != params.plant_tau_s:
         reset_axes(params, adaptive, t, z)
         return
@@ -158,7 +160,6 @@ def update_plant(params, adaptive, sense, inputs):
         return
     e = z - plant.axis_m
     plant.scatter_m = follow_usual(plant.scatter_m, abs(e - plant.offset_m))
-    plant.coast_scatter_m = follow_usual(plant.coast_scatter_m, abs(z - adaptive.kinematics.coasted_m))
     plant.axis_m += 0.3 * e  # gains of the observed axis per report
     plant.axis_mps += 2.0 * e
     limit = params.plant_v_max_mps
@@ -173,6 +174,21 @@ def update_plant(params, adaptive, sense, inputs):
     tau = best_time_constant(plant)
     if tau > 0.0:
         plant.tau_s *= math.exp(QUICK_RATE * math.log(tau / plant.tau_s))
+
+
+@jit
+def height_is_known(adaptive, sense, t_ns):
+    """Whether the height of the tool at a time is known: not behind a report when it is predicted badly.
+
+    Under a slow controller an axis may follow neither its model nor a constant velocity. An error within the
+    noise of the ranges does no harm. The interval of a controller above MAX_GAP_NS is not known: 0.
+    """
+    plant, interval_ns = adaptive.plant, adaptive.controller.interval_ns
+    quick = 0.0 < interval_ns < 0.5e9 * plant.tau_s
+    if quick or t_ns <= sense.pose_t_ns[newest_pose(sense)]:
+        return True
+    error_m = min(plant.scatter_m, plant.coast_scatter_m) if plant.scatter_m > 0.0 else plant.coast_scatter_m
+    return error_m <= max(axis_model.MAX_MODEL_ERROR_M, range_noise_m(adaptive.noise))
 
 
 @jit_inlined

@@ -9,7 +9,7 @@ from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
 from surffollow.forecast.estimation import estimate, innovation_gate
 from surffollow.forecast.modes import orients
-from surffollow.forecast.plant.plant_identification import predict_pose
+from surffollow.forecast.plant.plant_identification import height_is_known, predict_pose
 from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import follow_usual
 from surffollow.forecast.sensing import (
@@ -49,6 +49,10 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     close = health.count_close(adaptive.health, range_m < params.too_close_m)
     if close or fold.close != 0:
         fold_back.watch_fold_back(params, fold, range_m, sensor_z)
+    # the error of heights behind a report is a copy of the tool's own motion: one sample counts
+    seen = adaptive.estimate.sample_ns >= sense.pose_t_ns[newest_pose(sense)]
+    if seen and not height_is_known(adaptive, sense, t):
+        return
     at_rest = kinematics.is_at_rest(adaptive.kinematics)
     if orients(params):
         x, y = pose[0], pose[1]

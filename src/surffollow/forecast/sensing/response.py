@@ -50,7 +50,7 @@ def _begin_run(params, adaptive, tool_z_m, range_m):
 
 @jit
 def _begin_phase(response, phase, tool_z_m):
-    """Begin a phase of the test, RESPONSE_HOLD or RESPONSE_LIFT, at the tool's height, with a sample."""
+    """Begin a phase of the test, or a shift in RESPONSE_RUN, at the tool's height, with a sample."""
     response.phase, response.test_ns = phase, response.t_ns
     response.test_z_m, response.lift_m = tool_z_m, 0.0
 
@@ -86,18 +86,33 @@ def answer_s(adaptive, means):
 
 
 @jit
+def _proven_descent_m(params, adaptive, rate_s, sparse):
+    """Descent behind an answer that is not tested [m], at the rate of the run for a time `rate_s` at least.
+
+    Where the range responded at r, the ground lay at r. A tool that is on its way to the stand-off s₀ may
+    descend by r − s₀ and another 0.25 s₀, less where the next answer takes long. Of a slow sensor chance may
+    have made the answer: r does not count.
+    """
+    standoff_m = params.offset_m
+    room_m = MAX_DESCENT * standoff_m - adaptive.run.rate_mps * rate_s
+    higher_m = 0.0 if sparse else adaptive.response.proven_m - standoff_m
+    return min(constant_ranges.SHIFT_DESCENT * standoff_m, room_m) + higher_m
+
+
+@jit
 def _update_run(params, adaptive, tool_z_m):
     """Shift the setpoint, or hold the tool, in a motion with a constant range that gives cause to it.
 
     An ascent leads away from the ground: it counts a fourth, and a shift comes first. In a steep descent a
-    hold of a good sensor costs more than half a stand-off: a long one is answered by a shift first.
+    hold of a good sensor costs more than half a stand-off: a long one is answered by a shift first. So is a
+    descent behind an answer until its error is gone. An axis near its greatest speed takes long for that.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`response` updated)
     tool_z_m : float64  height of the tool at the newest sample [m]
     """
-    response, run = adaptive.response, adaptive.run
+    response, run, tau_s = adaptive.response, adaptive.run, adaptive.plant.tau_s
     number, band_m = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
     descent, ascent = constant_ranges.observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
     ascent *= ASCENT_SHARE
@@ -105,24 +120,28 @@ def _update_run(params, adaptive, tool_z_m):
     sparse = number <= mean_range.MIN_READINGS  # the ground changes while an answer is awaited
     repeated = is_repeated(adaptive.repeats)
     sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
-    returns = sign == SIGN_FOR_HOLD and response.t_ns < response.returned_ns and not repeated
-    if returns:  # behind a hold the tool is too high
-        sign = SIGN_FOR_SHIFT
-    if response.t_ns < response.settled_ns and not repeated:
-        sign = NO_SIGN
-    tau_s, wait_s, means = adaptive.plant.tau_s, answer_s(adaptive, MIN_MEANS), MIN_MEANS
-    steep = not rises and (returns or run.rate_mps * wait_s > STEEP * params.offset_m)
+    wait_s, means = answer_s(adaptive, MIN_MEANS), MIN_MEANS
+    steep = not rises and run.rate_mps * wait_s > STEEP * params.offset_m
     if steep:  # the greater shift is answered sooner
         wait_s, means = answer_s(adaptive, 1.0) - tau_s, 1.0
+    stop_s, least_m = adaptive.latency.delay_s + tau_s, MOTION_BANDS * band_m  # until the axis has stopped
+    if run.mean_m < params.offset_m + max(band_m, mean_range.LAG_TAUS * tau_s * run.rate_mps):
+        response.proven_m = 0.0
+    returns = response.proven_m > 0.0 and not rises and not repeated
+    if returns:
+        least_m = max(least_m, _proven_descent_m(params, adaptive, wait_s + stop_s, sparse))
+        sign = SIGN_FOR_SHIFT if descent > least_m else NO_SIGN
+    if response.t_ns < response.settled_ns and not repeated:
+        sign = NO_SIGN
     if run.samples <= means * number or (rises and sparse and not repeated):
         return
     response.rises = 1 if rises else 0
-    # until the axis has stopped
-    stop_m = run.rate_mps * (adaptive.latency.delay_s + tau_s)
-    far = not sparse and descent + stop_m > MAX_DESCENT * params.offset_m
+    far = not sparse and descent + run.rate_mps * stop_s > MAX_DESCENT * params.offset_m
     long = sign != NO_SIGN and run.samples > 2.0 * MIN_MEANS * number
-    if response.lift_m == 0.0 and (long or (steep and descent > MOTION_BANDS * band_m)):
-        response.lift_m, response.test_ns = (2.0 if steep else 1.0) * SHIFT_BANDS * band_m, response.t_ns
+    if response.lift_m == 0.0 and (long or ((steep or returns) and descent > least_m)):
+        _begin_phase(response, RESPONSE_RUN, tool_z_m)
+        response.lift_m = (2.0 if steep else 1.0) * SHIFT_BANDS * band_m
+        response.lead_m = _excess_lead_m(adaptive, tool_z_m)
     late = response.lift_m > 0.0 and (response.t_ns - response.test_ns) * 1e-9 > wait_s
     if rises:
         if late:  # the greater shift stands out from the lag of the axis
@@ -215,14 +234,13 @@ def _responds(adaptive):
 
 
 @jit
-def _await_return(adaptive):
-    """Note when the tool is back from the test or the shift that has been answered."""
+def _note_answer(adaptive):
+    """Note the answer to a test or a shift: its range, and when the axis has its speed again."""
     response = adaptive.response
     if response.phase == RESPONSE_RUN and response.lift_m == 0.0:
         return
     response.settled_ns = response.t_ns + int(1e9 * answer_s(adaptive, 1.0))
-    if response.phase != RESPONSE_RUN:
-        response.returned_ns = response.settled_ns + int(1e9 * ANSWER_TAUS * adaptive.plant.tau_s)
+    response.proven_m = adaptive.run.mean_m if response.rises == 0 else 0.0
 
 
 @jit_inlined
@@ -242,6 +260,8 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     begins = response.t_ns == 0 or t_ns < response.t_ns
     if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s):
         response.test_ns = t_ns  # an answer takes time with samples
+        if response.phase == RESPONSE_RUN:
+            response.test_z_m = tool_z_m
     response.t_ns = t_ns
     count_repeats(params, adaptive, range_m, tool_z_m)
     in_run, most_m = response.phase == RESPONSE_RUN, noise_m
@@ -252,9 +272,9 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     begins = begins or (response.swing_m > 0.0 and adaptive.run.standoff_m != params.offset_m)
     if begins or _responds(adaptive):
         if begins:
-            response.settled_ns = response.returned_ns = 0
+            response.settled_ns, response.proven_m = 0, 0.0
         else:
-            _await_return(adaptive)
+            _note_answer(adaptive)
         # of a step the mean sees a part
         step = begins or abs(range_m - mean_m) > noise_m
         _begin_run(params, adaptive, tool_z_m, range_m if step else mean_m)

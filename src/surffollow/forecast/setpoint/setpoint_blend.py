@@ -183,7 +183,8 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     no_descent = tool_z_m if stuck or hardly_known else -math.inf
-    lowest, highest = setpoint_range(adaptive.response)
+    wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
+    lowest, highest = setpoint_range(adaptive, wait_s)
     if stuck:  # ground that is not seen may rise as steeply as it did before
         rise_m = unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s)
         target_m = max(target_m, tool_z_m + rise_m)

@@ -3,7 +3,7 @@
 import math
 
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_LIFT
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_RUN
 
 
 @jit
@@ -17,13 +17,24 @@ def setpoint_shift_m(response):
 
 
 @jit
-def setpoint_range(response):
+def setpoint_range(adaptive, wait_s):
     """Lowest and highest setpoint that the test permits [m]; ∓∞: no limit.
 
     In a test the tool does not descend. In a lift and after it, it rises no farther than the sensor sees.
-    Over rising ground a good sensor answers when the tool stops there.
+    Over rising ground a good sensor answers when the tool stops there. In a descent that is shifted up, the
+    setpoint lies by the shift above one that leads the tool down at the rate of the run. That of an axis at
+    its limit of speed lies far below it, and a shift alone would not act.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState`
+    wait_s : float64  until the demand acts [s]
     """
-    lowest_m, highest_m = -math.inf, math.inf
+    lowest_m, highest_m, response = -math.inf, math.inf, adaptive.response
+    descends = response.phase == RESPONSE_RUN and response.lift_m > 0.0 and response.rises == 0
+    if descends and response.lead_m < -response.lift_m:
+        since_s = (adaptive.clock.now_ns - response.test_ns) * 1e-9 + wait_s + adaptive.plant.tau_s
+        lowest_m = response.test_z_m - adaptive.run.rate_mps * since_s + response.lift_m
     if response.phase == RESPONSE_HOLD or response.phase == RESPONSE_LIFT:
         lowest_m = response.test_z_m + (response.lift_m if response.rises == 0 else 0.0)
     if response.phase == RESPONSE_LIFT or response.phase == RESPONSE_FAILED:
