@@ -1,10 +1,10 @@
 """Leave out one mechanism of the default follower after the other, and see what each is worth.
 
 Every variant is a change of its source in a copy of the package. Printed per variant, over the full follower:
-geometric means of the RMS over surfaces without sines, over sines, with a sensor that leads by 50 mm, over
-the cases of `bench_scales`, with a sensor of 2 Hz and with bursts of wrong
-readings; the worst of the first four; the acceleration of the setpoints; and the greatest
-excursion after slots and glitches.
+geometric means of the RMS over surfaces without sines, over sines, with a sensor that leads by 50 mm, on a
+second pass over ground that is remembered, over the cases of `bench_scales`, with a sensor of 2 Hz and with
+bursts of wrong readings; the worst of these but the last two; the acceleration of the setpoints; and the
+greatest excursion after slots and glitches.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ SURFACES = (
 )
 SINES = ("sine-100", "sine-400", "chirp")
 SPEEDS_MPS, LEADS_M = (0.1, 0.4), (0.0, 0.05)
+AGAIN = ("ramp-20", "step", "bumps", "fy91", "microscope", "casting", "pipes", "terrain", "chirp")
 SCALES = ("publish", "tune")
 SCALE_SEEDS = 2
 SENSORS = {"2 Hz": "slow", "bursts": "bursts"}
@@ -153,6 +154,9 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "more samples in a burst": [("pending_samples", "int(0.25 * tau_s", "int(0.0 * tau_s")],
     "wider gate of sparse samples": [("innovation_gate", "PLAUSIBLE_SLOPE * travel_m", "0.0 * travel_m")],
+    "confirmed drops of known ground": [
+        ("known_ground", "(adaptive.known.descent_m if in_time else 0.0)", "0.0")
+    ],
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
@@ -178,6 +182,15 @@ def cell_trial(job: tuple[str, float, float, int]) -> tuple[float, float]:
     return score.rms_m, score.demand_accel_mps2
 
 
+def again_trial(job: tuple[str, float, int]) -> float:
+    """RMS of a second pass over the same ground [m]."""
+    from surffollow.benchmark.conditions import Conditions
+    from surffollow.benchmark.trials import Job, second_pass
+
+    surface, speed, seed = job
+    return float(second_pass(Job("second-pass", "ours", seed, Conditions(), surface, speed))["second_m"])
+
+
 def excursion_trial(job: tuple[str, float, int]) -> float:
     """Greatest excursion of the setpoint after slots or glitches [m]."""
     from surffollow.benchmark.conditions import Conditions
@@ -201,7 +214,8 @@ def trial(job: tuple[str, tuple[Any, ...]]) -> list[float]:
     kind, what = job
     if kind == "cell":
         return list(cell_trial(what))  # type: ignore[arg-type]
-    return [excursion_trial(what) if kind == "excursion" else scale_trial(what)]  # type: ignore[arg-type]
+    trials: dict[str, Any] = {"again": again_trial, "excursion": excursion_trial}
+    return [trials.get(kind, scale_trial)(what)]
 
 
 def measure(seeds: Sequence[int]) -> list[list[Any]]:
@@ -215,6 +229,7 @@ def measure(seeds: Sequence[int]) -> list[list[Any]]:
         for lead in LEADS_M
         for seed in seeds
     ]
+    jobs += [("again", (s, v, seeds[0])) for s in AGAIN for v in SPEEDS_MPS]
     jobs += [
         ("scale", (which, c.name, seeds[0] + k))
         for which in SCALES
@@ -272,6 +287,7 @@ def compare(found: list[list[Any]], full: list[list[Any]]) -> dict[str, float]:
     """Figures of a variant over those of the full follower."""
     cells = {tuple(f[1]): f[2] / g[2] for f, g in zip(found, full) if f[0] == "cell"}
     scales = [f[2] / g[2] for f, g in zip(found, full) if f[0] == "scale"]
+    again = [f[2] / g[2] for f, g in zip(found, full) if f[0] == "again"]
     sensors: dict[str, list[float]] = {column: [] for column in SENSORS.values()}
     for f, g in zip(found, full):
         if f[0] == "sensor":
@@ -284,9 +300,10 @@ def compare(found: list[list[Any]], full: list[list[Any]]) -> dict[str, float]:
         "rms": of(lambda j: j[2] == 0.0 and j[0] not in SINES),
         "sines": of(lambda j: j[2] == 0.0 and j[0] in SINES),
         "lead": of(lambda j: j[2] > 0.0),
+        "again": geometric_mean(again),
         "scales": geometric_mean(scales),
         **{column: geometric_mean(ratios) for column, ratios in sensors.items()},
-        "worst": max(*cells.values(), *scales),
+        "worst": max(*cells.values(), *again, *scales),
         "acceleration": geometric_mean([f[3] / g[3] for f, g in zip(found, full) if f[0] == "cell"]),
         "excursion_m": max(f[2] for f in found if f[0] == "excursion"),
     }
@@ -311,10 +328,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     rows: dict[str, dict[str, float]] = {}
     if not given.json:
         print(
-            "| left out | RMS | sines | lead 50 mm | scales | slow | bursts | worst |"
+            "| left out | RMS | sines | lead 50 mm | second pass | scales | slow | bursts | worst |"
             " acceleration | excursion [mm] |"
         )
-        print("| --- |" + " ---: |" * 9)
+        print("| --- |" + " ---: |" * 10)
     with ThreadPoolExecutor(given.processes) as pool:
         full: list[list[Any]] = []
         for name, found in zip(names, pool.map(lambda name: run_variant(name, given.seeds), names)):
@@ -323,7 +340,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             if not given.json:
                 print(
                     f"| {name} | {row['rms']:.3f} | {row['sines']:.3f} | {row['lead']:.3f} |"
-                    f" {row['scales']:.3f} | {row['slow']:.3f} | {row['bursts']:.3f} | {row['worst']:.2f} |"
+                    f" {row['again']:.3f} | {row['scales']:.3f} |"
+                    f" {row['slow']:.3f} | {row['bursts']:.3f} | {row['worst']:.2f} |"
                     f" {row['acceleration']:.2f} |"
                     f" {1e3 * row['excursion_m']:.3f} |",
                     flush=True,
