@@ -1059,7 +1059,7 @@ static inline const char *sf_strerror(int result) {
     case SF_NO_READING: return "there is no valid distance now";
     case SF_UNKNOWN: return "no height is known there";
     case SF_ERR_ARGUMENT: return "an argument is missing or outside its range";
-    case SF_ERR_NAME: return "a service's name is 1 to 48 letters, digits, '.', '_' or '-', none of '._-' first, no .sock, .lock, .map or .world last";
+    case SF_ERR_NAME: return "a service's name is 1 to 48 letters, digits, '.', '_' or '-', none of '._-' first, no .sock, .lock, .map, .stop or .world last";
     case SF_ERR_POSE: return "a pose is seven finite numbers: x y z within 1e9 m, a quaternion of norm 1 within 1e-3";
     case SF_ERR_POSE_FUTURE: return "the pose is stamped more than 1 ms ahead; use CLOCK_MONOTONIC";
     case SF_ERR_POSE_OLD: return "the pose is older than pose_timeout_ns; the service takes none so old";
@@ -1290,7 +1290,7 @@ static inline int sf_i_name_ok(const char *name) {
     if (n >= 48) return 0;
   }
   /* the names of a service's own objects */
-  static const char *const objects[] = {".sock", ".lock", ".map", ".world"};
+  static const char *const objects[] = {".sock", ".lock", ".map", ".stop", ".world"};
   for (size_t k = 0; k < sizeof objects / sizeof objects[0]; k++) {
     const size_t m = strlen(objects[k]);
     if (n > m && strcmp(name + n - m, objects[k]) == 0) return 0;
