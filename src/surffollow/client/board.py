@@ -52,6 +52,9 @@ class _Closed:
     def __getitem__(self, _: int) -> int:
         raise ClosedError(CLOSED_TEXT)
 
+    def __setitem__(self, _: int, value: int) -> None:
+        raise ClosedError(CLOSED_TEXT)
+
 
 CLOSED = _Closed()
 
@@ -238,11 +241,11 @@ class Board:
 
     def header(self) -> dict[str, Any]:
         """The header, as a dictionary."""
-        return unpack_schema(BoardHeader, self.object.memory)
+        return self._unpack(BoardHeader, 0)
 
     def state(self) -> int:
         """STATE_… of the service as last stored."""
-        return int(self.words[BoardHeader.offset("state") // 8])
+        return self._word("state")
 
     def latch(self, part: str, schema: type[Schema], index: int = 0) -> LatchReader:
         """A reader of the latch `index` in a part of the board."""
@@ -254,7 +257,19 @@ class Board:
 
     def plain(self, part: str, schema: type[Schema]) -> dict[str, Any]:
         """A part without a latch (counters): each word is whole, the structure need not be."""
-        return unpack_schema(schema, self.memory, self.regions[part][0])
+        return self._unpack(schema, self.regions[part][0])
+
+    def _word(self, name: str) -> int:
+        try:
+            return int(self.words[BoardHeader.offset(name) // 8])
+        except ValueError:  # released by another thread
+            raise ClosedError(CLOSED_TEXT) from None
+
+    def _unpack(self, schema: type[Schema], at: int) -> dict[str, Any]:
+        try:
+            return unpack_schema(schema, self.object.memory, at)
+        except ValueError:  # unmapped
+            raise ClosedError(CLOSED_TEXT) from None
 
     def address(self, part: str) -> int:
         """Address of a part in this process (for kernels; imports NumPy)."""
@@ -265,7 +280,7 @@ class Board:
 
     def is_current(self) -> bool:
         """Whether the name still leads to this board, and the board to the start that it was opened of."""
-        same_start = int(self.words[BoardHeader.offset("epoch") // 8]) == self.epoch
+        same_start = self._word("epoch") == self.epoch
         return same_start and self.object.is_current()
 
     def has_ended(self) -> bool:
