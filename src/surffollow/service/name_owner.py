@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from surffollow.errors import AlreadyRunningError
 from surffollow.service.kept_stop import KeptStop, forget_stop, keep_stop
-from surffollow.service.stale_objects import clear_stale, is_block
+from surffollow.service.stale_objects import check_not_live, clear_stale, is_block
 from surffollow.shm.name_lock import NameLock, holder, settled_holder
 from surffollow.shm.objects import unlink
 
@@ -21,6 +21,7 @@ def take_name(name: str) -> NameLock:
     ------
     AlreadyRunningError, NoPermissionError, BlockError, NoSpaceError
     """
+    check_not_live(name, of_others=True)  # another user's lock tells less, and advises more
     lock = NameLock.take(name)
     if lock is None and settled_holder(name) <= 0:
         lock = NameLock.take(name)  # a killed one has let go meanwhile
@@ -37,6 +38,8 @@ def take_name(name: str) -> NameLock:
         raise AlreadyRunningError(
             f"service {name!r} runs already ({who}); {how}, or start this one under another name (--name)"
         )
+    with lock.released_on_error():
+        check_not_live(name)  # a lock may have been removed manually
     return lock
 
 
