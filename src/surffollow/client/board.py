@@ -8,12 +8,7 @@ from collections.abc import Collection
 from typing import Any
 
 from surffollow.client.fence import fence
-from surffollow.errors import (
-    BlockError,
-    ClosedError,
-    LayoutMismatchError,
-    NotReadyError,
-)
+from surffollow.errors import BlockError, ClosedError, LayoutMismatchError, NotReadyError, NotRunningError
 from surffollow.shm.board_regions import layout_hash
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import BOARD_MAGIC, LAYOUT_VERSION, STATE_READY, BoardHeader, MainThreadState
@@ -137,6 +132,11 @@ class _Wait:
         )
 
 
+def _is_known(h: dict[str, Any]) -> bool:
+    """Whether a header is whole, and of this release."""
+    return bool(h["magic"] == BOARD_MAGIC and h["layout_hash"] == LAYOUT_HASH)
+
+
 def _start_text(board: SharedObject, h: dict[str, Any]) -> str | None:
     """How far the start is of a service that is not ready; empty: it says nothing yet; None: it does not run.
 
@@ -145,8 +145,7 @@ def _start_text(board: SharedObject, h: dict[str, Any]) -> str | None:
     board : SharedObject   not ready
     h : dict               its header
     """
-    known = h["magic"] == BOARD_MAGIC and h["layout_hash"] == LAYOUT_HASH
-    if not (known and board.is_current() and is_running(int(h["pid"]), int(h["start_ticks"]))):
+    if not (_is_known(h) and board.is_current() and is_running(int(h["pid"]), int(h["start_ticks"]))):
         return None
     at = {r["name"]: r["offset"] for r in h["region"]}.get("ticker")
     if at is None:
@@ -197,7 +196,7 @@ class Board:
 
     Raises
     ------
-    NotRunningError, NoPermissionError   from opening it
+    NotRunningError, NoPermissionError   from opening it; it died while it started
     NotReadyError                        it is not ready in time; a service that compiles is waited for
     LayoutMismatchError                  it was laid out by another version
     """
@@ -206,7 +205,7 @@ class Board:
         self.object = SharedObject.open(name, owners=owners)
         try:
             self._check(name, ready_timeout_s)
-        except BlockError:
+        except (BlockError, NotRunningError):
             self.object.close()
             raise
         header = self.header()
@@ -229,7 +228,14 @@ class Board:
                 fence()
                 h = unpack_schema(BoardHeader, memory)  # whole: `state` is stored last
                 break
-            wait.once_more(_start_text(self.object, h) or "")
+            text = _start_text(self.object, h)
+            if text is None and _is_known(h) and self.object.is_current():
+                raise NotRunningError(
+                    f"service {name!r} died while it started; start it again "
+                    f"(surffollow start --name {name}). In another pid namespace, such as a "
+                    "container, it may be starting still"
+                )
+            wait.once_more(text or "")
         if h["version"] != LAYOUT_VERSION or h["layout_hash"] != LAYOUT_HASH:
             raise LayoutMismatchError(
                 f"block {name!r} has layout {h['layout_hash']:016x} (version {h['version']}), this client "
