@@ -232,7 +232,7 @@ def print_header_command(block: str) -> None:
 
     attached = attach_unknown(block, trusted_owners())
     try:
-        sys.stdout.write(c_header(attached.schema))
+        print(c_header(attached.schema), end="")
     finally:
         attached.close()
 
