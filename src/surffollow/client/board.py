@@ -220,7 +220,7 @@ class Board:
     def _check(self, name: str, ready_timeout_s: float) -> None:
         memory = self.object.memory
         if self.object.size < BoardHeader.SIZE:
-            raise BlockError(f"block {name!r} is too small to be a board")
+            raise BlockError(f"block {name!r} is too small to be a board; remove it if no service made it")
         wait = _Wait(name, ready_timeout_s)
         while True:
             h = unpack_schema(BoardHeader, memory)
