@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import surffollow
 from follower_poses import MS, T0, at
 
 RING = [{"position_m": [0.02 * np.cos(a), 0.02 * np.sin(a), 0.0]} for a in (0.0, 2.1, 4.2)]
-CONFIGS = {
+CONFIGS: dict[str, dict[str, Any]] = {
     "paper": {"mode": "paper"},
     "adaptive": {"memory": False},
     "memory": {},
