@@ -35,7 +35,7 @@ STANDOFF_M = 0.1
 POSE = (0.05, 0.05, STANDOFF_M, 0.0, 0.0, 0.0, 1.0)
 # a service takes the last processor unless told otherwise: tests keep off those that run beside
 QUIET_CPU = min(os.sched_getaffinity(0))
-OWN_OBJECTS = ("", ".sock", ".lock", ".map")
+OWN_OBJECTS = ("", ".sock", ".lock", ".map", ".stop")
 OBJECTS = (*OWN_OBJECTS, ".world", ".world.lock")
 # parts of programs beside a test: attach to the service named by the first word, send poses for ever
 ATTACHED = f"""

@@ -13,7 +13,7 @@ from pathlib import Path
 from surffollow.shm.objects import unlink
 
 COMMAND = (sys.executable, "-m", "surffollow")
-OBJECTS = ("", ".sock", ".lock", ".map", ".world", ".world.lock")  # suffixes of a service's name
+OBJECTS = ("", ".sock", ".lock", ".map", ".stop", ".world", ".world.lock")  # suffixes of a service's name
 END_S = 90.0  # a busy machine ends a service slowly
 
 

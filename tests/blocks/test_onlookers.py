@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 import surffollow
-from second_user import NOBODY, needs_root
+from second_user import NOBODY, as_other_user, needs_root
 from surffollow.blocks import I8, Block, mem_attach
 from surffollow.blocks.cheader import c_header
 from surffollow.blocks.layout import schema_from_text, schema_text
@@ -63,6 +63,18 @@ def test_ls_names_every_block_its_writer_and_its_age(space, platform):
     assert f"{space}.platform" in run("ls")
     platform.close(keep=True)
     assert "(dead)" in next(line for line in run("ls").splitlines() if line.startswith(space))
+
+
+@needs_root
+def test_ls_names_a_block_that_its_user_may_not_read(space, platform):
+    name = f"{space}.platform"
+    os.chmod(f"/dev/shm/{name}", 0o600)
+    listed = as_other_user(lambda _: run("ls", "--json"))
+    assert {"name": name, "readable": False, "owner": 0} in json.loads(listed)
+    text = as_other_user(lambda _: run("ls"))
+    assert "not readable, perhaps blocks: " in text
+    assert f"{name} (user 0)" in text
+    assert "no blocks" not in text
 
 
 def test_show_prints_values_with_units_from_the_block_itself(space, platform):

@@ -85,12 +85,14 @@ def test_structure_of_any_schema_compiles_with_its_assertions(compile_program: C
     ("compiler", "flags"),
     [
         ("gcc", ["-std=gnu11", "-O3"]),
+        ("gcc", ["-std=gnu99", "-O2"]),
+        ("gcc", ["-std=c99", "-O2", "-D_POSIX_C_SOURCE=200809L"]),
         ("gcc", ["-std=c17", "-O2", "-ffast-math", "-D_POSIX_C_SOURCE=200809L"]),
         ("g++", ["-std=c++20", "-O2"]),
         ("clang", ["-std=c11", "-O2"]),
         ("aarch64-linux-gnu-gcc", ["-std=c11", "-O2"]),
     ],
-    ids=["gnu11", "c17-fast-math", "c++20", "clang", "aarch64"],
+    ids=["gnu11", "gnu99", "c99", "c17-fast-math", "c++20", "clang", "aarch64"],
 )
 def test_header_compiles_without_a_warning(compiler: str, flags: list[str], tmp_path: Path) -> None:
     if shutil.which(compiler) is None:

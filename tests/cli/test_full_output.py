@@ -98,7 +98,9 @@ def test_an_error_of_its_own_is_reported_as_such() -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_closed_output_is_no_fault() -> None:
-    words = ["sh", "-c", 'exec "$@" >&-', "-", sys.executable, "-m", "surffollow", "blocks", "ls"]
+@pytest.mark.parametrize("verb", ["blocks", "status", "status --json"])
+def test_a_closed_output_is_no_fault(service: Service, verb: str) -> None:
+    verbs = ["blocks", "ls"] if verb == "blocks" else [*verb.split(), "--name", service.name]
+    words = ["sh", "-c", 'exec "$@" >&-', "-", sys.executable, "-m", "surffollow", *verbs]
     done = subprocess.run(words, stderr=subprocess.PIPE, text=True, timeout=READY_S)
     assert (done.returncode, done.stderr) == (0, "")

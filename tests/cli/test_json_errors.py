@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from surffollow.cli.main import cli
+from surffollow.cli.main import cli, main
 
 COMMAND = [sys.executable, "-m", "surffollow"]
 
@@ -46,6 +46,30 @@ def test_an_error_is_one_object(
     assert set(found) == {"error", "kind", "exit_code"}
     assert says in found["error"]
     assert (found["exit_code"], found["kind"]) == (code, kind)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        RuntimeError("can't start new thread"),
+        OSError("Could not find/load shared object file 'libllvmlite.so' from resource location"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_a_process_without_memory_gives_an_object_and_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: Exception
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("surffollow.record.replay.replay_file", fail)
+    with pytest.raises(SystemExit) as end:
+        main(["replay", "none.mcap", "--json"])
+    out, err = capsys.readouterr()
+    assert end.value.code == 1
+    assert "ulimit -v" in json.loads(out)["error"]
+    assert err.startswith("surffollow: the limits of this process leave no memory")
 
 
 @pytest.mark.parametrize("words", [("status", "--name", "json-none"), ("replay", "none.mcap")])

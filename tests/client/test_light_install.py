@@ -85,7 +85,12 @@ def test_a_client_installation_drives_a_service_and_has_the_header(light: Path, 
         assert "SF_RESET" in audit.stdout.upper().replace("SFRESET", "SF_RESET"), audit.stdout + audit.stderr
         stop = run(light / "bin/surffollow", "stop", "--name", service.name, "--json", cwd=tmp_path)
         assert stop.returncode == 0, stop.stderr
-        assert json.loads(stop.stdout) == {"name": service.name, "pid": service.pid, "purged": False}
+        assert json.loads(stop.stdout) == {
+            "name": service.name,
+            "pid": service.pid,
+            "purged": False,
+            "stop_kept": False,
+        }
         assert objects_of(service.name) == {f"{service.name}.map"}
         purge = run(light / "bin/surffollow", "stop", "--name", service.name, "--purge", cwd=tmp_path)
         assert purge.returncode == 0, purge.stderr

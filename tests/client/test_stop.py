@@ -57,6 +57,43 @@ def test_a_stop_in_a_signal_handler_is_in_force_wherever_it_interrupts(
         client.reset_stop()
 
 
+class Unspeakable:
+    """A reason that has no text."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no text")
+
+
+@pytest.mark.parametrize(
+    ("reason", "kept"),
+    [
+        (None, ""),
+        (ValueError("joint 3"), "joint 3"),
+        (7, "7"),
+        (Unspeakable(), "Unspeakable"),
+        ("x" * 200, "x" * 63),
+        ("a\0b", "a b"),
+        ("\udcff", "?"),
+    ],
+    ids=["None", "error", "number", "unspeakable", "long", "NUL", "surrogate"],
+)
+@pytest.mark.parametrize("slot", [True, False], ids=["slot", "no slot"])
+def test_any_reason_stops_with_and_without_a_slot(
+    service: Service, reason: object, kept: str, slot: bool
+) -> None:
+    with service.attach() as client:
+        drive(client, lambda: client.dev_vector().valid, what="a demand")
+        if not slot:
+            client._release_slot()
+        client.stop(reason)
+        assert stopped(client)
+        until(
+            lambda: any(e.get("reason", "-") == kept for e in client.audit()), "the reason in the trail", 5.0
+        )
+        drive(client, lambda: client._pose_held, what="the pose")
+        client.reset_stop()
+
+
 def test_who_drove_before_a_restart_and_does_not_now_stops_at_once(make_service: Make) -> None:
     """GIVEN two clients WHEN the service restarts and the second sends poses THEN the first stops it without
     the pose.

@@ -16,7 +16,7 @@ from surffollow.cli.main import cli
 from surffollow.client import board as board_module
 from surffollow.client.board import Board, start_report
 from surffollow.config.service import ServiceConfig
-from surffollow.errors import NotReadyError
+from surffollow.errors import NotReadyError, NotRunningError
 from surffollow.service.notify import CompileProgress
 from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.shm import layout_board as lb
@@ -114,9 +114,12 @@ def test_it_does_not_wait_for_one_that_died_while_it_compiled(
     # GIVEN a service that died while it compiled
     tell(objects, "compiling kernels, 7: one")
     monkeypatch.setattr(board_module, "is_running", lambda *_: False)
-    # WHEN a client attaches, THEN it does not wait longer than for any other
-    with pytest.raises(NotReadyError, match="not ready after 2 s"):
+    # WHEN a client attaches, THEN it hears so at once
+    with pytest.raises(NotRunningError, match=r"died while it started; start it again \(surffollow start"):
         Board(NAME)
+    done = CliRunner().invoke(cli, ["status", "--name", NAME])
+    assert isinstance(done.exception, NotRunningError)
+    assert clock.now_s == 0.0
 
 
 def test_a_control_loop_that_attaches_again_never_waits(objects: SharedObjects, clock: Clock) -> None:

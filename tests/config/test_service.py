@@ -145,6 +145,39 @@ def test_a_file_that_cannot_be_read_or_is_no_toml_is_named(tmp_path):
         load_config(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"a = " + b"[" * 5000 + b"]" * 5000, "nested too deeply"),
+        (b"a = " + b"9" * 5000, "is not TOML"),
+    ],
+    ids=["nested", "digits"],
+)
+def test_toml_beyond_what_python_parses_is_named(tmp_path, data, says):
+    bad = tmp_path / "bad.toml"
+    bad.write_bytes(data)
+    with pytest.raises(ConfigError, match=rf"bad\.toml.*{says}"):
+        load_config(bad)
+
+
+def test_a_byte_order_mark_is_no_fault(tmp_path):
+    path = tmp_path / "notepad.toml"
+    path.write_bytes(b'\xef\xbb\xbfname = "cell"\r\n')
+    assert load_config(path).name == "cell"
+
+
+def test_a_device_without_an_end_is_refused_and_a_pipe_is_read():
+    with pytest.raises(ConfigError, match=r"/dev/zero has more than 16 MiB"):
+        load_config("/dev/zero")
+    reading, writing = os.pipe()
+    try:
+        os.write(writing, b'name = "piped"')
+        os.close(writing)
+        assert load_config(f"/dev/fd/{reading}").name == "piped"
+    finally:
+        os.close(reading)
+
+
 def test_a_file_in_another_encoding_is_reported_and_not_a_crash(tmp_path):
     bad = tmp_path / "latin.toml"
     bad.write_bytes('name = "größe"'.encode("latin-1"))

@@ -209,6 +209,19 @@ def test_a_series_is_drawn_whole_or_by_its_envelope_and_ends_at_pauses(n: int) -
     assert not known[inside].any()
 
 
+@pytest.mark.parametrize("kind", ["recording", "log"])
+def test_a_file_whose_name_is_no_utf_8_becomes_a_figure(
+    request: pytest.FixtureRequest, tmp_path: Path, kind: str
+) -> None:
+    source: Path = request.getfixturevalue(kind)
+    named = Path(os.fsdecode(os.fsencode(tmp_path) + b"/run-\xff" + os.fsencode(source.suffix)))
+    named.write_bytes(source.read_bytes())
+    columns = ["--columns", str(tmp_path / "columns.toml")] if kind == "log" else []
+    done = CliRunner().invoke(plot_command, [str(named), *columns, "--out", str(tmp_path / "a.svg")])
+    assert done.exit_code == 0, done.exception
+    assert "run-\N{REPLACEMENT CHARACTER}" in words_of(tmp_path / "a.svg")
+
+
 def test_a_map_file_becomes_a_figure(tmp_path: Path) -> None:
     HeightMap.from_heights(np.zeros((4, 5)), origin_m=(0, 0), grid_m=0.01).save(tmp_path / "m.txt")
     CliRunner().invoke(plot_command, [str(tmp_path / "m.txt")], catch_exceptions=False)

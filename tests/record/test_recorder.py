@@ -246,6 +246,16 @@ def test_a_full_disk_is_reported_and_the_file_stays_readable_up_to_there(
     assert "ends early" in report.damage
 
 
+def test_a_disk_that_takes_nothing_leaves_nothing_to_read(tmp_path: Path) -> None:
+    with (
+        open("/dev/full", "wb", buffering=0) as full,
+        pytest.raises(
+            FaultError, match="ends after 0 bytes: the disk is full; nothing was recorded; free some"
+        ),
+    ):
+        RecordingWriter(tmp_path / "a.mcap", stream=full)
+
+
 def test_a_recording_that_cannot_be_opened_is_reported_with_its_path(tmp_path: Path) -> None:
     with pytest.raises(FaultError, match="nowhere"):
         RecordingWriter(tmp_path / "nowhere" / "a.mcap")

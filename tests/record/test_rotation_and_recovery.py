@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,15 @@ def test_a_cut_recording_is_recovered_up_to_its_last_whole_chunk(
         assert sum(1 for _ in reader.iter_messages()) == done.messages
         reported = {m.name: m.metadata for m in reader.iter_metadata()}
     assert "ends early" in reported["surffollow.recovered"]["damage"]
+
+
+def test_a_file_whose_name_is_no_utf_8_is_recovered(tmp_path: Path, recording_bytes: bytes) -> None:
+    cut = Path(os.fsdecode(os.fsencode(tmp_path) + b"/cut-\xff.mcap"))
+    cut.write_bytes(recording_bytes[: len(recording_bytes) // 2])
+    done = recover(cut)
+    with open(done.file, "rb") as file:
+        reported = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
+    assert reported["surffollow.recovered"]["from"] == "cut-\N{REPLACEMENT CHARACTER}.mcap"
 
 
 def test_the_commands_keep_what_is_there_and_tell_damage(tmp_path: Path, recording_bytes: bytes) -> None:

@@ -55,7 +55,7 @@ def odd_name(make_service: Make) -> Iterator[Service]:
 
 
 @pytest.mark.parametrize("kind", ODD)
-@pytest.mark.parametrize("part", ["", ".map", ".lock", ".sock"])
+@pytest.mark.parametrize("part", ["", ".map", ".stop", ".lock", ".sock"])
 def test_what_is_no_plain_file_is_an_error_with_a_remedy_for_everybody(
     odd_name: Service, part: str, kind: str
 ) -> None:
@@ -269,10 +269,10 @@ def test_a_reader_that_locks_every_byte_keeps_no_service_from_its_name(
         # WHEN it is started again, THEN they follow it
         s.start()
         until(client.alive, "the new service")
-        # WHEN it is killed and purged, THEN nothing is left
+        # WHEN it is killed and purged, THEN nothing is left but the mark that a robot may follow
         s.kill()
         assert s.run("stop", "--purge").returncode == 0
-        assert objects_of(s.name) == set()
+        assert objects_of(s.name) == {f"{s.name}.stop"}
 
 
 def test_epochs_differ_between_starts_also_after_a_purge() -> None:

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from running_service import Service, config_text, objects_of
-from surffollow.errors import (
-    ConfigError,
-)
+from running_service import Service, config_text, objects_of, unique_name
+from surffollow.client import observe
+from surffollow.errors import BlockError, ConfigError
 from surffollow.map import HeightMap
 from surffollow.service import shared_objects
+from surffollow.service.name_owner import purge_map
 from surffollow.shm import layout_board as lb
 
 Make = Callable[..., Service]
@@ -70,6 +70,29 @@ def test_the_configured_quantum_holds_from_every_map_reset_on(make_service: Make
         assert client.map_window().quantum_m == 5e-5
         client.map_reset((0.0, 0.0, 1.0, 1.0))
         assert client.map_window().quantum_m == 1e-4
+
+
+def test_an_empty_map_is_named_with_a_remedy_that_works(make_service: Make) -> None:
+    s = make_service(grids=1000)
+    path = Path(f"/dev/shm/{s.name}.map")
+    path.touch()
+    with pytest.raises(BlockError, match=rf"is empty; remove it: surffollow stop --name {s.name} --purge"):
+        shared_objects.open_shared_objects(s.settings())
+    purge_map(s.name)
+    shared_objects.open_shared_objects(s.settings()).leave()
+    assert objects_of(s.name) == set()
+
+
+def test_an_object_too_small_for_a_board_is_named_with_a_remedy() -> None:
+    name = unique_name("small")
+    path = Path(f"/dev/shm/{name}")
+    for content, says in ((b"x", "remove it if no service made it"), (b"", "remove it if it stays so")):
+        path.write_bytes(content)
+        try:
+            with pytest.raises(BlockError, match=says):
+                observe(name)
+        finally:
+            path.unlink()
 
 
 def test_a_kept_map_of_another_size_is_neither_used_nor_lost(make_service: Make) -> None:

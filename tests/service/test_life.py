@@ -97,7 +97,7 @@ def test_stop_ends_the_service_keeps_the_map_and_purge_removes_everything(make_s
     # WHEN it is stopped, THEN its map alone is left
     assert s.process is not None
     done = s.run("stop", "--json")
-    assert json.loads(done.stdout) == {"name": s.name, "pid": s.pid, "purged": False}
+    assert json.loads(done.stdout) == {"name": s.name, "pid": s.pid, "purged": False, "stop_kept": False}
     assert done.returncode == 0
     assert s.process.wait(WAIT_S) == 0
     assert objects_of(s.name) == {f"{s.name}.map"}
@@ -107,7 +107,7 @@ def test_stop_ends_the_service_keeps_the_map_and_purge_removes_everything(make_s
     assert "no service" in again.stderr
     # WHEN it is purged, THEN nothing is left
     done = s.run("stop", "--purge", "--json")
-    assert json.loads(done.stdout) == {"name": s.name, "pid": None, "purged": True}
+    assert json.loads(done.stdout) == {"name": s.name, "pid": None, "purged": True, "stop_kept": False}
     assert objects_of(s.name) == set()
     assert s.run("stop", "--purge").returncode == 1, "nothing is left to remove"
 
@@ -247,10 +247,10 @@ def test_start_in_a_tiny_dev_shm_fails_before_ready_with_one_line(make_service: 
 
 
 def test_purge_after_a_sigkill_removes_what_was_left(own_service: Service) -> None:
-    """GIVEN a killed service WHEN `stop --purge` runs THEN no object is left."""
+    """GIVEN a killed service WHEN `stop --purge` runs THEN the mark that a robot may follow is left alone."""
     own_service.kill()
     assert own_service.run("stop", "--purge").returncode == 0
-    assert objects_of(own_service.name) == set()
+    assert objects_of(own_service.name) == {f"{own_service.name}.stop"}
 
 
 KILL_AT_EVERY_LINE = """

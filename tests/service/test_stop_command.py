@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 
 import click
 import pytest
 from click.testing import CliRunner
 
-from running_service import Service, unique_name
-from second_user import OtherUser, as_other_user, needs_root, outcome
+from running_service import Service, objects_of, unique_name
+from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.blocks import F64, Block, mem_attach
 from surffollow.cli.arbiter_stop import stop_command as arbiter_stop_command
 from surffollow.cli.service import stop_command
 from surffollow.errors import AlreadyRunningError, NotRunningError
-from surffollow.service.name_owner import take_name
+from surffollow.service import shared_objects
+from surffollow.service.name_owner import purge_map, take_name
 from surffollow.shm.name_lock import NameLock
 from surffollow.shm.objects import SHM_ROOT, unlink
 
@@ -72,3 +74,74 @@ def test_a_start_under_the_name_of_a_block_says_that_it_is_one() -> None:
         take_name(f"{space}.joystick")
     assert f"'{space}.joystick' is a block of a program (pid {os.getpid()}), no service" in str(refused.value)
     assert "surffollow stop" not in str(refused.value)
+
+
+@needs_root
+def test_root_is_not_told_to_remove_what_belongs_to_a_live_service_of_another_user(
+    make_service: Callable[..., Service],
+) -> None:
+    # GIVEN a live service of another user, as far as its name goes
+    s = make_service()
+    settings = s.settings()
+
+    def serve(child: OtherUser) -> str:
+        made = shared_objects.open_shared_objects(settings)
+        child.say("serves")
+        child.receive()
+        made.leave()
+        return "done"
+
+    with OtherUser(serve) as other:
+        assert other.receive() == "serves"
+        kept = objects_of(s.name)
+        for take in (
+            lambda: shared_objects.open_shared_objects(settings),
+            lambda: purge_map(s.name),
+        ):
+            # WHEN root starts or purges one under the name, THEN it hears who runs, and no advice to remove
+            said = outcome(take)
+            assert f"user {NOBODY}, pid {other.pid}" in said
+            assert "remove" not in said
+            assert "rm " not in said
+        # WHEN the lock is removed all the same, THEN it is told so still
+        (SHM_ROOT / f"{s.name}.lock").unlink()
+        for take in (
+            lambda: shared_objects.open_shared_objects(settings),
+            lambda: purge_map(s.name),
+        ):
+            assert f"user {NOBODY}, pid {other.pid}" in outcome(take)
+        assert objects_of(s.name) == kept - {f"{s.name}.lock"}, "nothing of it is gone"
+        other.say("end")
+        assert other.receive() == "done"
+
+
+@needs_root
+def test_another_user_is_not_told_to_remove_the_lock_of_roots_service(own_service: Service) -> None:
+    def take(_: OtherUser) -> str:
+        return outcome(lambda: NameLock.take(own_service.name))
+
+    said = as_other_user(take)
+    assert "belongs to user 0" in said
+    assert "ask them or root" in said
+    assert "remove" not in said
+
+
+@needs_root
+def test_a_program_of_another_user_that_holds_a_name_is_named() -> None:
+    name = unique_name("held")
+
+    def hold(child: OtherUser) -> str:
+        lock = NameLock.take(name)
+        assert lock is not None
+        child.say("holds")
+        child.receive()
+        lock.release()
+        return "done"
+
+    with OtherUser(hold) as other:
+        assert other.receive() == "holds"
+        said = outcome(lambda: NameLock.take(name))
+        assert f"runs under it as user {NOBODY} (pid {other.pid})" in said
+        assert "remove" not in said
+        other.say("end")
+        assert other.receive() == "done"

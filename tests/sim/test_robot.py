@@ -11,7 +11,16 @@ import numpy as np
 import pytest
 from robots import FLAT, MS, REGION, START, PerfectService, drive, robot
 
-from surffollow.errors import ConfigError, NotRunningError, PoseError, UsageError
+from surffollow.errors import (
+    ConfigError,
+    FaultError,
+    LayoutMismatchError,
+    NoPermissionError,
+    NotRunningError,
+    PoseError,
+    RefusedError,
+    UsageError,
+)
 from surffollow.sim.plant import PlantConfig
 from surffollow.sim.raster import MARGIN_M, line_path, raster_path, slow_down
 from surffollow.sim.robot import RobotCore
@@ -142,6 +151,21 @@ def test_no_service_within_the_wait_is_an_error_that_says_why() -> None:
     core = RobotCore(RobotConfig(), FLAT, START)
     with pytest.raises(NotRunningError, match="no live service"):
         Controller(core, nobody).connect(0.0)
+
+
+@pytest.mark.parametrize("kind", [RefusedError, NoPermissionError, LayoutMismatchError])
+def test_what_no_further_attempt_can_change_is_raised_at_once_and_as_it_is(
+    kind: type[FaultError],
+) -> None:
+    error = kind("refused for good")
+
+    def refuse() -> PerfectService:
+        raise error
+
+    core = RobotCore(RobotConfig(), FLAT, START)
+    with pytest.raises(type(error)) as raised:
+        Controller(core, refuse).connect(600.0)
+    assert raised.value is error
 
 
 def test_score_is_the_trace_s_own_after_the_first_100_mm_and_knows_rolling_ground() -> None:

@@ -116,7 +116,9 @@ def test_robot_that_gets_no_valid_demand_prints_its_summary_and_fails(
     until(lambda: robot_time_ns(process) > begun + 1_500_000_000, "three times what a robot may stand still")
     process.send_signal(signal.SIGTERM)
     out, err = process.communicate(timeout=120)
-    assert json.loads(out)["finished"] is False
+    said = json.loads(out)
+    assert said["finished"] is False
+    assert "gave it no valid demand" in said["error"]
     assert process.returncode == 1
     assert "no valid demand" in err
 
@@ -132,6 +134,8 @@ def test_wrong_surface_and_missing_service_are_named(monkeypatch: pytest.MonkeyP
     for arguments, error in (
         (["--surface", "moon"], ConfigError),
         ([*SMALL, "--wait", "0"], NotRunningError),
+        ([*SMALL, "--wait", "0", "--arbiter", "nosuch"], NotRunningError),
     ):
         result = CliRunner().invoke(simulate_command, arguments)
         assert isinstance(result.exception, error), result.output
+        assert ("no arbiter 'nosuch' runs here" in str(result.exception)) == ("nosuch" in arguments)

@@ -76,15 +76,13 @@ def running(what: str, words: list[str], folder: Path) -> Iterator[Child]:
 
 def purge(name: str, wait_s: float = 0.0) -> None:
     """Remove every object of a service that has ended, or ends within `wait_s`."""
-    from surffollow.service.name_owner import purge_map
-    from surffollow.service.stale_objects import clear_stale
+    from surffollow.service.name_owner import remove_all
     from surffollow.shm.objects import unlink
 
     deadline = time.monotonic() + wait_s
     while True:
         try:
-            purge_map(name)
-            clear_stale(name)
+            remove_all(name)
         except AlreadyRunningError:
             if time.monotonic() < deadline:
                 time.sleep(0.05)

@@ -13,6 +13,7 @@ from typing import Any
 from surffollow.apps.run_by_holder import RunByHolder
 from surffollow.arbiter import CommandReader, Resource, ResourceCommand, command_reader
 from surffollow.arbiter import attach as attach_arbiter
+from surffollow.arbiter import observe as observe_arbiter
 from surffollow.blocks import F64, I64, Block, Memory, mem_attach
 from surffollow.client import Client, Ticket
 from surffollow.client import attach as attach_service
@@ -121,6 +122,11 @@ class ArbitratedService:
 
 def attach_arbitrated(service: str, arbiter: str, resource: str) -> ArbitratedService:
     """Attach a robot to a service and to an arbiter's resource; raises `FaultError`."""
+    with observe_arbiter(arbiter) as watcher:
+        if not watcher.alive():
+            raise NotRunningError(
+                f"arbiter {arbiter!r} has ended; start it: surffollow arbiter start CONFIG.toml"
+            )
     return ArbitratedService(attach_service(service, label="simulated robot"), arbiter, resource)
 
 

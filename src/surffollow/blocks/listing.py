@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import time
 from collections.abc import Collection
 from typing import Any
 
 from surffollow.blocks import layout as bl
 from surffollow.blocks.attached import AttachedBlock
-from surffollow.config.names import check_name
+from surffollow.config.names import OBJECTS, check_name
+from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, InvalidNameError, NotRunningError
 from surffollow.shm.objects import SHM_ROOT, SharedObject
 
@@ -52,6 +54,21 @@ def describe_block(block: AttachedBlock) -> dict[str, Any]:
         "fenced": block.fenced,
         "lease_s": block.lease_s,
     }
+
+
+def unreadable_objects() -> list[dict[str, Any]]:
+    """Shared objects of trusted users that may be blocks and that this user may not read: name and owner."""
+    found = []
+    for name in sorted(os.listdir(SHM_ROOT)):
+        service, _, last = name.rpartition(".")
+        if not service or last in OBJECTS or service == "sem":  # sem.…: a semaphore of the C library
+            continue
+        with contextlib.suppress(InvalidNameError, OSError):
+            status = os.lstat(SHM_ROOT / check_name(name))
+            readable = os.access(SHM_ROOT / name, os.R_OK, effective_ids=True)
+            if stat.S_ISREG(status.st_mode) and status.st_uid in trusted_owners() and not readable:
+                found.append({"name": name, "readable": False, "owner": status.st_uid})
+    return found
 
 
 def list_blocks() -> list[dict[str, Any]]:

@@ -127,7 +127,7 @@ def history_command(name: str, last: int, follow: bool, seconds: float, as_json:
         while follow and not stop.is_set() and time.monotonic() < until and arbiter.alive():
             for event in history:
                 _print_event(event, as_json)
-            sys.stdout.flush()
+            print(end="", flush=True)
             stop.wait(0.01)
     if history.lost:
         print(f"surffollow: {history.lost} records were overwritten before they were read", file=sys.stderr)

@@ -32,14 +32,19 @@ def blocks_group() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON array.")
 def list_command(as_json: bool) -> None:
     """List the blocks of this machine: schema, writer, generation, age."""
-    from surffollow.blocks.listing import list_blocks
+    from surffollow.blocks.listing import list_blocks, unreadable_objects
 
-    found = list_blocks()
+    found, hidden = list_blocks(), unreadable_objects()
     if as_json:
-        print(json.dumps(found, indent=2))
+        print(json.dumps(found + hidden, indent=2))
+        return
+    if hidden:
+        names = ", ".join(f"{b['name']} (user {b['owner']})" for b in hidden)
+        print(f"not readable, perhaps blocks: {names}; join their group (ls -l /dev/shm)", file=sys.stderr)
+    if not found and not hidden:
+        print("no blocks; a program makes one with surffollow.blocks.mem_attach(..., write=True)")
         return
     if not found:
-        print("no blocks; a program makes one with surffollow.blocks.mem_attach(..., write=True)")
         return
     rows = [("BLOCK", "SCHEMA", "BYTES", "WRITER", "GENERATION", "AGE")]
     for b in found:
@@ -227,7 +232,7 @@ def print_header_command(block: str) -> None:
 
     attached = attach_unknown(block, trusted_owners())
     try:
-        sys.stdout.write(c_header(attached.schema))
+        print(c_header(attached.schema), end="")
     finally:
         attached.close()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +55,7 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[Any]:
 def print_result(as_json: bool, found: dict[str, Any], text: str) -> None:
     """Print what was found."""
     if as_json:
-        json.dump(found, sys.stdout, indent=2, allow_nan=False)
-        print()
+        print(json.dumps(found, indent=2, allow_nan=False))
     else:
         print(text)
 

@@ -14,12 +14,17 @@ from typing import Any
 import click
 
 from surffollow.cli import old_names
-from surffollow.errors import SurffollowError, UsageError
+from surffollow.errors import FaultError, SurffollowError, UsageError
 from surffollow.extras import missing_library
 from surffollow.shm.ending_signals import Terminated
 
 # a disk, or a share of it, that is full or gone
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+
+NO_MEMORY = (
+    "the limits of this process leave no memory or no thread: see 'ulimit -v' and 'ulimit -u'; a service "
+    "needs 1 GB of address space"
+)
 
 # between collections of garbage: a command imports a million objects and keeps them; saves 0.1 s of a start
 OBJECTS_PER_COLLECTION = 100_000
@@ -70,6 +75,10 @@ class LazyGroup(click.Group):
             if ctx.meta[AS_JSON]:
                 print_error(error)
             raise
+        except (MemoryError, RuntimeError, OSError) as error:
+            if lacks_memory(error) and ctx.meta[AS_JSON]:
+                click.echo(json_error(NO_MEMORY, FaultError.__name__, 1))
+            raise
         except (KeyboardInterrupt, click.Abort, Terminated) as end:
             text, code = ending(end)
             if ctx.meta[AS_JSON]:
@@ -89,6 +98,14 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, _, text) in VERBS.items()])
+
+
+def lacks_memory(error: Exception) -> bool:
+    """Whether the limits of this process are the cause: no memory, no thread, no room for numba's library."""
+    text = str(error)
+    if isinstance(error, OSError):
+        return error.errno is None and "libllvmlite" in text
+    return isinstance(error, MemoryError) or "start new thread" in text
 
 
 def one_object_is_printed(ctx: click.Context) -> None:
@@ -189,19 +206,18 @@ def main(argv: list[str] | None = None) -> Any:
         print(f"surffollow: {remedy}", file=sys.stderr)
         sys.exit(1)
     except (MemoryError, RuntimeError) as e:
-        if not isinstance(e, MemoryError) and "start new thread" not in str(e):
+        if not lacks_memory(e):
             raise
-        print(
-            "surffollow: the limits of this process leave no memory or no thread: see 'ulimit -v' and"
-            " 'ulimit -u'; a service needs 1 GB of address space",
-            file=sys.stderr,
-        )
+        print(f"surffollow: {NO_MEMORY}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:
         sys.exit(141)
     except OSError as e:
+        if lacks_memory(e):
+            print(f"surffollow: {NO_MEMORY}", file=sys.stderr)
+            sys.exit(1)
         if e.errno not in NO_ROOM:
             raise
         throw_output_away()

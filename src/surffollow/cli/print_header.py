@@ -40,7 +40,7 @@ def pkg_config_text(includedir: str) -> str:
     help="Copy it and the arbiter's to PREFIX/include, and write PREFIX/lib/pkgconfig/surffollow.pc.",
 )
 def print_header_command(cflags: bool, pkg_config: bool, as_json: bool, prefix: Path | None) -> None:
-    """Print the C header of the client library (C11, C++17, nothing to link), or the layout as JSON."""
+    """Print the C header of the client library (C99, C++17, nothing to link), or the layout as JSON."""
     if sum((cflags, pkg_config, as_json, prefix is not None)) > 1:
         raise click.UsageError("--cflags, --pkg-config, --json and --install exclude each other")
     if prefix is not None:

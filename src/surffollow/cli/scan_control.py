@@ -40,7 +40,7 @@ def pause_command(name: str, as_json: bool) -> None:
 @_NAME
 @JSON
 def resume_command(name: str, as_json: bool) -> None:
-    """Let a paused scan of service NAME go on."""
+    """Let a paused scan of service NAME go on; a latched stop of the service is reset first."""
     _send_command(name, "resume", as_json)
 
 

@@ -62,29 +62,35 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 
 @click.command("stop")
 @click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Name of the service.")
-@click.option("--purge", is_flag=True, help="Also remove the kept map.")
+@click.option("--purge", is_flag=True, help="Also remove the kept map; a latched stop is kept.")
 @click.option(
     "--timeout", type=Finite(min=0.0), default=10.0, show_default=True, help="Seconds to wait for its end."
 )
 @JSON
 def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
-    """End a service in good order; its map is kept for the next start unless --purge is given."""
+    """End a service in good order; its map is kept for the next start unless --purge is given.
+
+    A latched stop outlives a purge. So does, where a client held the pose or the service was killed, the mark
+    that stops a start with other parameters.
+    """
     from surffollow.errors import NotRunningError
 
-    pid, purged = running_pid(name), False
+    pid, purged, stop_kept = running_pid(name), False, ""
     if pid:
         end_process(pid, lambda: running_pid(name), f"service {name!r}", timeout)
     if purge:
-        purged = purge_leftovers(name)
+        purged, stop_kept = purge_leftovers(name)
         if not pid and not purged:
-            raise NotRunningError(f"no service {name!r} runs and no map of that name is kept")
+            raise NotRunningError(f"no service {name!r} runs and no map of that name is kept{stop_kept}")
+        if stop_kept:
+            print(f"the map of {name!r} is removed{stop_kept}", file=sys.stderr)
     elif not pid:
         check_holder_is_here(name, f"service {name!r}")
         raise NotRunningError(f"no service {name!r} is running")
     if as_json:
         import json
 
-        print(json.dumps({"name": name, "pid": pid or None, "purged": purged}))
+        print(json.dumps({"name": name, "pid": pid or None, "purged": purged, "stop_kept": bool(stop_kept)}))
 
 
 def running_pid(name: str) -> int:
@@ -103,8 +109,15 @@ def running_pid(name: str) -> int:
     return pid if pid > 0 else board_owner(name)
 
 
-def purge_leftovers(name: str) -> bool:
-    """Remove the map, and what a killed service left of its board and socket."""
+def purge_leftovers(name: str) -> tuple[bool, str]:
+    """Remove the map and what a killed service left; whether there was any, and what is said of a stop."""
+    from surffollow.service.kept_stop import NOTHING
     from surffollow.service.name_owner import purge_map
 
-    return purge_map(name)
+    removed, stop = purge_map(name)
+    if stop == NOTHING:
+        return removed, ""
+    return removed, (
+        f"; {stop.text()} is kept for the next start: the pose's holder resets it there, or remove "
+        f"/dev/shm/{name}.stop when no robot follows that service"
+    )

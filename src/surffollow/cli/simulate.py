@@ -13,6 +13,7 @@ from surffollow.cli.main import one_object_is_printed
 from surffollow.cli.option_types import SERVICE_NAME, Finite
 
 if TYPE_CHECKING:
+    from surffollow.errors import ServiceError
     from surffollow.sim.robot_run import Service
     from surffollow.sim.standstill import Standstill
 
@@ -148,26 +149,30 @@ def simulate_command(
 
     standstill = Standstill(name, wait_s, reset_stop, report)
     summary = _run(config, name, wait_s, trace, _attachment(name, arbiter, resource), standstill)
-    _print_result(summary, as_json)
+    error = standstill.error or _held_error(summary, name)
+    _print_result(summary, as_json, error)
     one_object_is_printed(click.get_current_context())
-    if standstill.error is not None:
-        raise standstill.error
+    if error is not None:
+        raise error
+
+
+def _held_error(summary: dict[str, Any], name: str) -> ServiceError | None:
+    from surffollow.errors import ServiceError
     from surffollow.sim.robot_run import held_too_long
 
-    if held_too_long(summary["ticks"], summary["held_ticks"]):
-        from surffollow.errors import ServiceError
+    if not held_too_long(summary["ticks"], summary["held_ticks"]):
+        return None
+    return ServiceError(
+        f"the robot stood still in {summary['held_ticks']} of its {summary['ticks']} periods: "
+        f"service {name!r} gave it no valid demand"
+    )
 
-        raise ServiceError(
-            f"the robot stood still in {summary['held_ticks']} of its {summary['ticks']} periods: "
-            f"service {name!r} gave it no valid demand"
-        )
 
-
-def _print_result(summary: dict[str, Any], as_json: bool) -> None:
+def _print_result(summary: dict[str, Any], as_json: bool, error: ServiceError | None) -> None:
     if as_json:
         import json
 
-        click.echo(json.dumps(summary))
+        click.echo(json.dumps(summary | ({} if error is None else {"error": str(error)})))
         return
     for key, value in summary.items():
         if key == "not_scored":

@@ -53,8 +53,7 @@ def status_command(name: str, as_json: bool, audit: bool, wait_s: float) -> None
         from surffollow.shm.layout_json import identity
 
         status["layout"] = identity()
-        json.dump(status, sys.stdout, indent=2, allow_nan=False, default=str)
-        print()
+        print(json.dumps(status, indent=2, allow_nan=False, default=str))
     elif audit:
         print("\n".join(audit_lines(status)))
     else:

@@ -8,13 +8,13 @@ import time
 import weakref
 from typing import Any
 
-from surffollow.client.board import CLOSED, Board
+from surffollow.client.board import CLOSED, CLOSED_TEXT, Board
 from surffollow.client.fence import FENCED, fence
 from surffollow.client.map_live import MapReading
 from surffollow.client.service_state import ServiceState
 from surffollow.config.names import check_service_name
 from surffollow.config.trusted_users import trusted_owners
-from surffollow.errors import BlockError, NotReadyError, NotRunningError
+from surffollow.errors import BlockError, ClosedError, NotReadyError, NotRunningError
 from surffollow.shm.closing import Closing
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_follow import Output
@@ -55,7 +55,7 @@ class Attachment(ServiceState, MapReading, Closing):
             raise ValueError(f"stale_periods must be at least 1, not {stale_periods}")
         self.name = check_service_name(name)
         self._stale_periods, self._stale_min_ns = stale_periods, int(stale_min_s * 1e9)
-        self._next_attach_ns, self._ended = 0, False
+        self._next_attach_ns, self._ended, self._closed = 0, False, False
         self._lock = threading.RLock()  # re-attaching, and what a client has beyond it
         self._refusal = ""  # why what bears the name now is not attached to
         board = Board(name, owners=trusted_owners(owner))
@@ -89,17 +89,20 @@ class Attachment(ServiceState, MapReading, Closing):
     def _snapshot(self, unpack: Any, offset: int) -> Any:
         # R1-R4 of the latch over the output
         words, memory, index, base, _ = self._view
-        for _ in range(MAX_TRIES):
-            g = words[index]
-            if g == 0:
-                return None
-            if FENCED:
-                fence()
-            values = unpack(memory, base + (g & (SLOTS - 1)) * OUTPUT_STRIDE + offset)
-            if FENCED:
-                fence()
-            if words[index] - g <= SLOTS - 2:
-                return values
+        try:
+            for _ in range(MAX_TRIES):
+                g = words[index]
+                if g == 0:
+                    return None
+                if FENCED:
+                    fence()
+                values = unpack(memory, base + (g & (SLOTS - 1)) * OUTPUT_STRIDE + offset)
+                if FENCED:
+                    fence()
+                if words[index] - g <= SLOTS - 2:
+                    return values
+        except ValueError:  # another thread closes this attachment, which unmaps the board
+            raise ClosedError(CLOSED_TEXT) from None
         return None
 
     def _follow(self) -> bool:
@@ -125,6 +128,7 @@ class Attachment(ServiceState, MapReading, Closing):
         if not self._lock.acquire(blocking=wait):
             return
         try:
+            self._check_open()
             self._next_attach_ns = now_ns + REATTACH_EVERY_NS
             if self.board.is_current():
                 self._note_end(self._has_ended())
@@ -162,9 +166,15 @@ class Attachment(ServiceState, MapReading, Closing):
         self._try_reattach(time.monotonic_ns(), wait=True)
         return self.board.is_current()
 
+    def _check_open(self) -> None:
+        """Raise ClosedError when another thread closed this attachment; with `_lock`."""
+        if self._closed:
+            raise ClosedError(CLOSED_TEXT)
+
     def close(self) -> None:
         """Let go of everything; what is called afterwards raises ClosedError."""
         with self._lock:
+            self._closed = True
             self._view = (CLOSED, *self._view[1:])
             self._close_map()
             self.board.close()

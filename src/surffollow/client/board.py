@@ -8,12 +8,7 @@ from collections.abc import Collection
 from typing import Any
 
 from surffollow.client.fence import fence
-from surffollow.errors import (
-    BlockError,
-    ClosedError,
-    LayoutMismatchError,
-    NotReadyError,
-)
+from surffollow.errors import BlockError, ClosedError, LayoutMismatchError, NotReadyError, NotRunningError
 from surffollow.shm.board_regions import layout_hash
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_board import BOARD_MAGIC, LAYOUT_VERSION, STATE_READY, BoardHeader, MainThreadState
@@ -50,6 +45,9 @@ class _Closed:
     """In the place of the words of a closed attachment: every access raises ClosedError."""
 
     def __getitem__(self, _: int) -> int:
+        raise ClosedError(CLOSED_TEXT)
+
+    def __setitem__(self, _: int, value: int) -> None:
         raise ClosedError(CLOSED_TEXT)
 
 
@@ -134,6 +132,11 @@ class _Wait:
         )
 
 
+def _is_known(h: dict[str, Any]) -> bool:
+    """Whether a header is whole, and of this release."""
+    return bool(h["magic"] == BOARD_MAGIC and h["layout_hash"] == LAYOUT_HASH)
+
+
 def _start_text(board: SharedObject, h: dict[str, Any]) -> str | None:
     """How far the start is of a service that is not ready; empty: it says nothing yet; None: it does not run.
 
@@ -142,8 +145,7 @@ def _start_text(board: SharedObject, h: dict[str, Any]) -> str | None:
     board : SharedObject   not ready
     h : dict               its header
     """
-    known = h["magic"] == BOARD_MAGIC and h["layout_hash"] == LAYOUT_HASH
-    if not (known and board.is_current() and is_running(int(h["pid"]), int(h["start_ticks"]))):
+    if not (_is_known(h) and board.is_current() and is_running(int(h["pid"]), int(h["start_ticks"]))):
         return None
     at = {r["name"]: r["offset"] for r in h["region"]}.get("ticker")
     if at is None:
@@ -194,7 +196,7 @@ class Board:
 
     Raises
     ------
-    NotRunningError, NoPermissionError   from opening it
+    NotRunningError, NoPermissionError   from opening it; it died while it started
     NotReadyError                        it is not ready in time; a service that compiles is waited for
     LayoutMismatchError                  it was laid out by another version
     """
@@ -203,7 +205,7 @@ class Board:
         self.object = SharedObject.open(name, owners=owners)
         try:
             self._check(name, ready_timeout_s)
-        except BlockError:
+        except (BlockError, NotRunningError):
             self.object.close()
             raise
         header = self.header()
@@ -218,7 +220,7 @@ class Board:
     def _check(self, name: str, ready_timeout_s: float) -> None:
         memory = self.object.memory
         if self.object.size < BoardHeader.SIZE:
-            raise BlockError(f"block {name!r} is too small to be a board")
+            raise BlockError(f"block {name!r} is too small to be a board; remove it if no service made it")
         wait = _Wait(name, ready_timeout_s)
         while True:
             h = unpack_schema(BoardHeader, memory)
@@ -226,7 +228,14 @@ class Board:
                 fence()
                 h = unpack_schema(BoardHeader, memory)  # whole: `state` is stored last
                 break
-            wait.once_more(_start_text(self.object, h) or "")
+            text = _start_text(self.object, h)
+            if text is None and _is_known(h) and self.object.is_current():
+                raise NotRunningError(
+                    f"service {name!r} died while it started; start it again "
+                    f"(surffollow start --name {name}). In another pid namespace, such as a "
+                    "container, it may be starting still"
+                )
+            wait.once_more(text or "")
         if h["version"] != LAYOUT_VERSION or h["layout_hash"] != LAYOUT_HASH:
             raise LayoutMismatchError(
                 f"block {name!r} has layout {h['layout_hash']:016x} (version {h['version']}), this client "
@@ -238,11 +247,11 @@ class Board:
 
     def header(self) -> dict[str, Any]:
         """The header, as a dictionary."""
-        return unpack_schema(BoardHeader, self.object.memory)
+        return self._unpack(BoardHeader, 0)
 
     def state(self) -> int:
         """STATE_… of the service as last stored."""
-        return int(self.words[BoardHeader.offset("state") // 8])
+        return self._word("state")
 
     def latch(self, part: str, schema: type[Schema], index: int = 0) -> LatchReader:
         """A reader of the latch `index` in a part of the board."""
@@ -254,7 +263,19 @@ class Board:
 
     def plain(self, part: str, schema: type[Schema]) -> dict[str, Any]:
         """A part without a latch (counters): each word is whole, the structure need not be."""
-        return unpack_schema(schema, self.memory, self.regions[part][0])
+        return self._unpack(schema, self.regions[part][0])
+
+    def _word(self, name: str) -> int:
+        try:
+            return int(self.words[BoardHeader.offset(name) // 8])
+        except ValueError:  # released by another thread
+            raise ClosedError(CLOSED_TEXT) from None
+
+    def _unpack(self, schema: type[Schema], at: int) -> dict[str, Any]:
+        try:
+            return unpack_schema(schema, self.object.memory, at)
+        except ValueError:  # unmapped
+            raise ClosedError(CLOSED_TEXT) from None
 
     def address(self, part: str) -> int:
         """Address of a part in this process (for kernels; imports NumPy)."""
@@ -265,7 +286,7 @@ class Board:
 
     def is_current(self) -> bool:
         """Whether the name still leads to this board, and the board to the start that it was opened of."""
-        same_start = int(self.words[BoardHeader.offset("epoch") // 8]) == self.epoch
+        same_start = self._word("epoch") == self.epoch
         return same_start and self.object.is_current()
 
     def has_ended(self) -> bool:

@@ -63,8 +63,7 @@ class _Mapped:
         self.next_look_ns = 0
 
     def close(self) -> None:
-        self.words.release()
-        self.heights.release()
+        """Close it; another thread that reads it still keeps it mapped."""
         self.object.close()
 
 
@@ -92,9 +91,9 @@ class MapReading:
         return m
 
     def _close_map(self) -> None:
-        if self._map is not None:
-            self._map.close()
-            self._map = None
+        m, self._map = self._map, None
+        if m is not None:
+            m.close()
 
     def _look(self, x_m: float, y_m: float, look: Any, nothing: Any) -> Any:
         """`look` at the grids about a point, by the three steps; `nothing` when it is unknown."""

@@ -109,12 +109,12 @@ class Observer(Attachment):
         """
         words, memory, index, base, stale_ns = self._view
         # R1-R4, once and in a line; all that is not fresh and whole takes the slow path
-        g = words[index]
-        at = base + (g & (SLOTS - 1)) * OUTPUT_STRIDE
-        copy = _copy_of(memory, at)
-        word = at >> 3
-        valid = words[word + _STATUS_WORD] & VALID
         try:
+            g = words[index]
+            at = base + (g & (SLOTS - 1)) * OUTPUT_STRIDE
+            copy = _copy_of(memory, at)
+            word = at >> 3
+            valid = words[word + _STATUS_WORD] & VALID
             age = _clock() - words[word]
             if -stale_ns <= age <= stale_ns and words[index] - g <= SLOTS - 2 and g and not FENCED:
                 if valid:
@@ -128,6 +128,9 @@ class Observer(Attachment):
             return demand.valid
         except struct.error:
             raise ValueError(f"the buffer must have at least {DEMAND_BYTES} bytes") from None
+        except ValueError:
+            self._check_open()  # another thread may have closed this attachment meanwhile
+            raise
 
     def raw_distance(self, channel: int = 0) -> float:
         """The newest smoothed sensor-to-target distance (paper: RawDistance).

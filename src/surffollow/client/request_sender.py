@@ -109,12 +109,12 @@ class RequestSender(SlotHolder):
 
     def _post_request(self, code: int, numbers: Sequence[int], values: Sequence[float], n: int) -> Ticket:
         self._counter += 1
-        words, index = self._in_words, self._request_index
+        words, memory, index = self._in_words, self._in, self._request_index
         g = (words[index] + 1) & GENERATION or 1
         fence()
         pad = ls.REQUEST_ARGS
         _REQUEST.pack_into(
-            self._in,
+            memory,
             self._request_base + (g & (SLOTS - 1)) * _REQUEST_STRIDE,
             self._counter,
             code,

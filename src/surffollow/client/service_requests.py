@@ -50,7 +50,7 @@ class ServiceRequests(RangePusher):
 
         return self._ask(lb.RQ_SF_RESET, (check_param("offset_m", offset_m),), timeout_s, wait)
 
-    def stop(self, reason: str = "", *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
+    def stop(self, reason: object = "", *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
         """Stop: from the next cycle on no demand is valid, until the pose's holder calls `reset_stop`.
 
         Any client may ask. docs/reference/protocol.md defines the duty of the robot's controller. This is no
@@ -61,8 +61,8 @@ class ServiceRequests(RangePusher):
 
         Parameters
         ----------
-        reason : str
-            for the audit trail; its first 63 bytes as UTF-8 are kept
+        reason : object
+            for the audit trail: text, or what `str` makes of it; the first 63 bytes as UTF-8 are kept
         timeout_s, wait : float, bool
             as in `sf_reset`
 
@@ -82,8 +82,7 @@ class ServiceRequests(RangePusher):
         True
         """
         self._store_stop()
-        data = reason.encode(errors="replace")[: 8 * ls.STOP_TEXT_WORDS - 1]
-        numbers = struct.unpack(f"<{ls.STOP_TEXT_WORDS}q", data.ljust(8 * ls.STOP_TEXT_WORDS, b"\0"))
+        numbers = struct.unpack(f"<{ls.STOP_TEXT_WORDS}q", _reason_bytes(reason))
         try:
             return self._ask(lb.RQ_STOP, (), timeout_s, wait, numbers)
         except BusyError:  # of this thread itself: the stored request takes effect, only the reason is lost
@@ -159,3 +158,13 @@ class ServiceRequests(RangePusher):
         ticket = self._ask(lb.RQ_SET_PARAMS, checked, timeout_s, wait, numbers)
         self._next_look_ns = self._next_life_ns = 0
         return ticket
+
+
+def _reason_bytes(reason: object) -> bytes:
+    """The reason of a stop as the bytes of the request; no reason, whatever it is, prevents the stop."""
+    try:
+        text = "" if reason is None else str(reason)
+    except Exception:
+        text = type(reason).__name__
+    size = 8 * ls.STOP_TEXT_WORDS
+    return text.encode(errors="replace").replace(b"\0", b" ")[: size - 1].ljust(size, b"\0")

@@ -120,6 +120,7 @@ class SlotHolder(Observer):
 
     def _ask_for_slot(self) -> None:
         """One step towards a slot; never waits."""
+        self._check_open()
         if self._asking is not None and self._asking.board is not self.board:
             self._stop_asking()
         if self._asking is None:
@@ -143,7 +144,8 @@ class SlotHolder(Observer):
     def _use_slot(self, grant: SlotGrant) -> None:
         # the target of poses changes at once, and the grant comes last
         self.slot, self._claim = grant.slot, grant.claim
-        self._in, self._in_words = grant.memory, memoryview(grant.memory).cast("Q")
+        self._in: Any = grant.memory
+        self._in_words: Any = memoryview(grant.memory).cast("Q")
         self._pose_index = ls.SLOT_POSE // 8
         self._pose_base = ls.SLOT_POSE + HEAD_BYTES
         self._request_index = ls.SLOT_REQUEST // 8
@@ -200,10 +202,10 @@ class SlotHolder(Observer):
     def close(self) -> None:
         """Give back the pose and the slot, unmap everything."""
         _clients.discard(self)
-        if self._grant is not None:
-            self._in_words.release()
+        with self._lock:  # another thread that makes a step towards a slot ends it first
+            self._closed = True
             self._release_slot()
-            self._pose_view = (CLOSED, *self._pose_view[1:])
-            self._range_view = (CLOSED, self._in)
-        self._stop_asking()
-        super().close()
+            # a thread that writes a pose at this moment keeps the memory, which no process reads any more
+            self._in = self._in_words = CLOSED
+            self._pose_view, self._range_view = (CLOSED, CLOSED, 0, 0), (CLOSED, CLOSED)
+            super().close()

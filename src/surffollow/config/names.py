@@ -6,7 +6,13 @@ import re
 
 from surffollow.errors import InvalidNameError
 
-OBJECTS = ("sock", "lock", "map", "world")  # a service NAME has the files NAME, NAME.sock, … of its own
+OBJECTS = (
+    "sock",
+    "lock",
+    "map",
+    "stop",
+    "world",
+)  # a service NAME has the files NAME, NAME.sock, … of its own
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,47}\Z")
 _OBJECT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}\Z")
 
@@ -44,7 +50,7 @@ def check_service_name(name: str) -> str:
 
     Raises
     ------
-    InvalidNameError  see `check_name`, or it ends in .sock, .lock, .map or .world
+    InvalidNameError  see `check_name`, or it ends in .sock, .lock, .map, .stop or .world
     """
     owner, _, last = check_name(name).rpartition(".")
     if owner and last in OBJECTS:

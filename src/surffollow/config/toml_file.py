@@ -15,6 +15,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+MAX_BYTES = 16 << 20  # far more than any such file has
+
 
 @contextmanager
 def naming_source(source: str, error: type[SurffollowError]) -> Iterator[None]:
@@ -43,9 +45,16 @@ def read_toml(path: str | Path, kind: str, error: type[SurffollowError]) -> dict
         the tables, unchecked
     """
     try:
-        tables: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        with open(path, "rb") as file:
+            data = file.read(MAX_BYTES + 1)  # of a pipe, too; a device may give bytes without end
     except OSError as e:
         raise error(f"cannot read {kind} {path}: {e.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+    if len(data) > MAX_BYTES:
+        raise error(f"{kind} {path} has more than {MAX_BYTES >> 20} MiB; it is no such file")
+    try:
+        tables: dict[str, Any] = tomllib.loads(data.decode("utf-8-sig"))
+    except RecursionError:
+        raise error(f"{kind} {path} is not TOML: its values are nested too deeply") from None
+    except ValueError as e:  # not TOML, not UTF-8, or an integer of thousands of digits
         raise error(f"{kind} {path} is not TOML: {e}") from None
     return tables

@@ -11,6 +11,7 @@ In the adaptive mode timestamps that jump away from those of poses and other ste
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -79,12 +80,8 @@ class Follower:
     def __init__(self, config: Config = None, offset_m: float | None = None) -> None:
         self._params, self._state = zeros(Params), zeros(FollowState)
         self._inputs, self._output = zeros(Inputs), zeros(Output)
-        self._scratch = np.zeros(7)
-        self._t_ns, self._given_t_ns = self._inputs["t_ns"], self._inputs["given_t_ns"]
-        self._n_ranges, self._given_m = self._inputs["n_ranges"], self._inputs["given_m"][0]
-        self._demand = self._output["demand"][0]
-        self._pose = np.zeros(7)
-        self._pose_timeout_ns = self._params["pose_timeout_ns"]
+        self._scratch, self._pose = np.zeros(7), np.zeros(7)
+        self._bind_views()
         self._latest_ns = self._stepped_ns = 0
         setup = read_setup(config, offset_m)
         for name, number in setup.values.items():
@@ -97,10 +94,25 @@ class Follower:
         self._checks_stamps = bool(adaptive)
         self._memory = new_memory() if setup.use_memory and adaptive else None
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
-        self._scaled = self._state["scaled"][0]
         self._stamps, self._pose_intervals = Timestamps(), PoseIntervals()
         self._n_channels = len(setup.mounts)
         self._scale_times()
+
+    def _bind_views(self) -> None:
+        """Views of fields that every step reads or writes."""
+        self._t_ns, self._given_t_ns = self._inputs["t_ns"], self._inputs["given_t_ns"]
+        self._n_ranges, self._given_m = self._inputs["n_ranges"], self._inputs["given_m"][0]
+        self._demand, self._scaled = self._output["demand"][0], self._state["scaled"][0]
+        self._pose_timeout_ns = self._params["pose_timeout_ns"]
+
+    def __setstate__(self, attributes: dict[str, Any]) -> None:
+        """Bind the views anew: those of a copy or a pickle are arrays of their own."""
+        self.__dict__.update(attributes)
+        self._bind_views()
+
+    def __copy__(self) -> Follower:
+        """Copy deeply: two followers with records in common would both step them."""
+        return copy.deepcopy(self)
 
     def _scale_times(self) -> None:
         """Times of the caller's clock that follow from the reference time."""

@@ -9,6 +9,7 @@ begins with a SNAPSHOT entry and can be replayed by itself.
 from __future__ import annotations
 
 import json
+import os
 import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
@@ -88,3 +89,8 @@ def layout_description(about: dict[str, str] | None = None) -> bytes:
         },
         indent=1,
     ).encode()
+
+
+def name_text(path: str | os.PathLike[str]) -> str:
+    """The name of a file as Unicode text; bytes that are no UTF-8 are replaced."""
+    return os.fsencode(os.path.basename(path)).decode("utf-8", "replace")

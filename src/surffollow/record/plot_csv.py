@@ -15,6 +15,7 @@ from surffollow.record.columns import Columns
 from surffollow.record.csv_replay import CsvReplay
 from surffollow.record.drawn_series import MAX_ROWS, draw_series, drawn_series, pauses, reduction
 from surffollow.record.forecast_scores import pair_forecasts, score_forecast
+from surffollow.record.format import name_text
 from surffollow.units import numbers_text
 
 # without a horizontal way of this many typical distances there is no map to draw
@@ -63,7 +64,7 @@ def _headline(file: str | Path, replay: CsvReplay) -> str:
     t = replay.log.elapsed_s()
     after = pauses(t)
     text = (
-        f"{Path(file).name}: {t[-1]:.6g} s, {_count(has.size, 'row')}, {_count(int(has.sum()), 'reading')} "
+        f"{name_text(file)}: {t[-1]:.6g} s, {_count(has.size, 'row')}, {_count(int(has.sum()), 'reading')} "
         f"({1.0 - has.mean():.1%} of the rows without), {replay.mode} mode"
     )
     if after.size:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surffollow.map.formats.axis_labels import label_axis
 from surffollow.record import figure as fg
 from surffollow.record.figure_data import FigureData, last_service, read_figure_data
+from surffollow.record.format import name_text
 from surffollow.record.latency_histogram import draw_latency
 from surffollow.shm.layout_adaptive import HEALTH_NAMES
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, STATUS_NAMES, VALID
@@ -60,7 +61,7 @@ def _headline(path: str | Path, data: FigureData) -> str:
         when = time.strftime("%Y-%m-%d %H:%M:%S UTC, ", time.gmtime(begin_ns // 1_000_000_000))
     valid = float(np.mean((o["status"] & VALID) != 0))
     text = (
-        f"{Path(path).name}: {when}{data.t_s[-1]:.1f} s, {source.cycles} cycles of "
+        f"{name_text(path)}: {when}{data.t_s[-1]:.1f} s, {source.cycles} cycles of "
         f"{source.period_cycle_ns / 1e6:g} ms, {mode} mode\n"
         f"stand-off RMS {fg.rms(data.error_m) * 1e3:.2f} mm where there was a distance; "
         f"demand valid {valid:.1%} of the time"

@@ -10,7 +10,14 @@ from mcap.writer import CompressionType, Writer
 
 from surffollow.errors import RecordingError, UsageError
 from surffollow.map.formats.atomic_file import check_not_read, replacing
-from surffollow.record.format import CHUNK_BYTES, HEAD_WORDS, RECOVERED_NAME, SUMMARY_NAME, TOPIC
+from surffollow.record.format import (
+    CHUNK_BYTES,
+    HEAD_WORDS,
+    RECOVERED_NAME,
+    SUMMARY_NAME,
+    TOPIC,
+    name_text,
+)
 from surffollow.record.mcap_reader import CHANNEL, MESSAGE, MESSAGE_HEAD, METADATA, SCHEMA, McapReader
 from surffollow.record.mcap_records import read_channel, read_metadata, read_schema
 
@@ -64,7 +71,7 @@ def recover(path: str | Path, out: str | Path | None = None, *, force: bool = Fa
                 f"{path} holds no whole message" + (f" ({reader.damage})" if reader.damage else "")
             )
         done.lost_bytes, done.damage = reader.damage.lost_bytes, str(reader.damage)
-        said = {"from": path.name, "damage": done.damage, "lost_bytes": str(done.lost_bytes)}
+        said = {"from": name_text(path), "damage": done.damage, "lost_bytes": str(done.lost_bytes)}
         writer.add_metadata(RECOVERED_NAME, said)
         if done.cycles:
             counts = {"cycles": done.cycles, "segments": done.segments, "lost_bytes": done.lost_bytes}

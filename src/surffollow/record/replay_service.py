@@ -75,7 +75,8 @@ def write_inputs(p: RecordedInputs, folder: Path, period_ns: int) -> Path:
 @contextlib.contextmanager
 def running_service(config: Path, name: str) -> Iterator[subprocess.Popen[str]]:
     """A service process of our own, from READY to its end; it leaves nothing behind that was not there."""
-    had_map = (SHM_ROOT / f"{name}.map").exists()
+    # a stop that a purge has kept stands in the map from the start on
+    had_map = any((SHM_ROOT / (name + part)).exists() for part in (".map", ".stop"))
     command = bound_command("start", "--name", name, "--config", str(config), "--quiet")
     with open(config.with_name("service.err"), "w+") as errors:
         child = subprocess.Popen(

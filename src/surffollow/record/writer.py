@@ -176,9 +176,9 @@ class MessageWriter:
             elif e.errno == errno.EFBIG:
                 what = "no file may be larger here"
                 remedy = "raise the limit (ulimit -f), or rotate files (--rotate-size)"
+            kept = "it is readable up to there (surffollow replay)" if self._whole else "nothing was recorded"
             raise FaultError(
-                f"recording {self.path} ends after {self._whole} bytes: {what}; it is readable up to there "
-                f"(surffollow replay); {remedy}"
+                f"recording {self.path} ends after {self._whole} bytes: {what}; {kept}; {remedy}"
             ) from None
 
     def _give_up(self) -> None:

@@ -13,6 +13,7 @@ from surffollow.errors import (
     BlockError,
     ConfigError,
     NoPermissionError,
+    NotReadyError,
     NotRunningError,
 )
 from surffollow.map.header import header_fault, init_header
@@ -27,6 +28,11 @@ def take_map(config: ServiceConfig, group: int) -> tuple[SharedObject, bool]:
         return SharedObject.open(f"{config.name}.map", writable=True, owners=(own_user(),)), False
     except NotRunningError:
         return _make_map(config, group), True
+    except NotReadyError:  # a map gets its name when it is whole: no start makes this one
+        raise BlockError(
+            f"the kept map {f'{config.name}.map'!r} is empty; remove it: "
+            f"surffollow stop --name {config.name} --purge"
+        ) from None
 
 
 def _make_map(config: ServiceConfig, group: int) -> SharedObject:

@@ -5,8 +5,11 @@ No NumPy here: `surffollow stop` of a client-only installation imports this.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from surffollow.errors import AlreadyRunningError
-from surffollow.service.stale_objects import clear_stale, is_block
+from surffollow.service.kept_stop import KeptStop, forget_stop, keep_stop
+from surffollow.service.stale_objects import check_not_live, clear_stale, is_block
 from surffollow.shm.name_lock import NameLock, holder, settled_holder
 from surffollow.shm.objects import unlink
 
@@ -18,6 +21,7 @@ def take_name(name: str) -> NameLock:
     ------
     AlreadyRunningError, NoPermissionError, BlockError, NoSpaceError
     """
+    check_not_live(name, of_others=True)  # another user's lock tells less, and advises more
     lock = NameLock.take(name)
     if lock is None and settled_holder(name) <= 0:
         lock = NameLock.take(name)  # a killed one has let go meanwhile
@@ -34,11 +38,36 @@ def take_name(name: str) -> NameLock:
         raise AlreadyRunningError(
             f"service {name!r} runs already ({who}); {how}, or start this one under another name (--name)"
         )
+    with lock.released_on_error():
+        check_not_live(name)  # a lock may have been removed manually
     return lock
 
 
-def purge_map(name: str) -> bool:
-    """Remove the kept map of a name and what a killed service left; False when there was nothing.
+class Purged(NamedTuple):
+    """Outcome of a purge: whether it removed objects, and the stop that it kept for the next start."""
+
+    removed: bool
+    stop: KeptStop
+
+
+def purge_map(name: str) -> Purged:
+    """Remove the kept map of a name and what a killed service left; a latched stop is kept (`kept_stop`).
+
+    Raises
+    ------
+    AlreadyRunningError, NoPermissionError, NoSpaceError, BlockError
+    """
+    lock = take_name(name)
+    try:
+        stop = keep_stop(name)
+        removed = unlink(f"{name}.map")
+        return Purged(clear_stale(name) or removed, stop)
+    finally:
+        lock.release()
+
+
+def remove_all(name: str) -> None:
+    """Remove all that is kept under a name that no robot outside this program follows, a stop too.
 
     Raises
     ------
@@ -46,7 +75,8 @@ def purge_map(name: str) -> bool:
     """
     lock = take_name(name)
     try:
-        purged = unlink(f"{name}.map")
-        return clear_stale(name) or purged
+        unlink(f"{name}.map")
+        clear_stale(name)
+        forget_stop(name)
     finally:
         lock.release()

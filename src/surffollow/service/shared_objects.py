@@ -20,6 +20,7 @@ from surffollow.errors import (
     NoSpaceError,
 )
 from surffollow.service.kept_map import check_kept_map, take_map
+from surffollow.service.kept_stop import forget_stop, read_kept_stop
 from surffollow.service.name_owner import take_name
 from surffollow.service.slot_memory import SlotMemory
 from surffollow.service.slot_server import BACKLOG
@@ -75,6 +76,7 @@ class SharedObjects:
         from surffollow.shm.python_atomics import store_release
 
         if state == lb.STATE_READY:
+            forget_stop(self.config.name)  # it stands in the map, which stays from here on
             self.map_is_new = False
         store_release(int(self.board_bytes.ctypes.data) + lb.BoardHeader.offset("state"), state)
 
@@ -107,6 +109,7 @@ def open_shared_objects(config: ServiceConfig) -> SharedObjects:
     made = [map_] if fresh else []
     slots: SlotMemory | None = None
     try:
+        kept_stop = read_kept_stop(name)
         if not fresh:
             check_kept_map(config, map_, group)
         clear_stale(name)
@@ -127,6 +130,8 @@ def open_shared_objects(config: ServiceConfig) -> SharedObjects:
     objects.map_is_new = fresh
     header = objects.map_header[0]
     header["owner_epoch"] = new_epoch(int(header["owner_epoch"]))
+    header["stop"] |= kept_stop.causes
+    header["params_hash"] = header["params_hash"] or kept_stop.params_hash
     _fill_headers(objects)
     return objects
 

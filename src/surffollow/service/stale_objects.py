@@ -75,6 +75,28 @@ def board_owner(name: str) -> int:
     return 0 if found is None else _live_owner(found)
 
 
+def check_not_live(name: str, of_others: bool = False) -> None:
+    """Refuse a name whose board is a live service's; nothing is said of a board that cannot be read.
+
+    Parameters
+    ----------
+    of_others : bool   pass over a service of this user
+
+    Raises
+    ------
+    AlreadyRunningError
+    """
+    found = None
+    with contextlib.suppress(BlockError):
+        found = _found(name)
+    if found is None or (of_others and found.owner == os.geteuid()) or not (pid := _live_owner(found)):
+        return
+    raise AlreadyRunningError(
+        f"the shared-memory object {name!r} belongs to a running service (user {found.owner}, pid {pid}); "
+        "stop that first, or choose another name (--name)"
+    )
+
+
 def is_block(name: str) -> bool:
     """Whether an object that is no service's board lies under the name, such as a user block."""
     try:
@@ -96,14 +118,10 @@ def clear_stale(name: str) -> bool:
     NoPermissionError    one of them is another user's
     BlockError           there is something else under the board's name or the socket's
     """
+    check_not_live(name)
     found = _found(name)
     if found is not None:
-        pid, magic = _live_owner(found), int.from_bytes(found.head[:8], "little")
-        if pid:
-            raise AlreadyRunningError(
-                f"the shared-memory object {name!r} belongs to a running service (pid {pid}); stop that "
-                "first, or choose another name (--name)"
-            )
+        magic = int.from_bytes(found.head[:8], "little")
         # a board gets its header after its name: one without belonged to a start that was killed
         if magic not in (0, lb.BOARD_MAGIC):
             raise BlockError(

@@ -129,13 +129,19 @@ def _open_own(name: str) -> int:
         owner = lock_owner(name)
         if isinstance(e, PermissionError) and owner >= 0:
             raise NoPermissionError(
-                f"the lock file {path} belongs to user {owner}, expected user {me}: only its owner may hold "
-                f"the name {name!r}; {remedy}"
+                f"the lock file {path} belongs to user {owner}, expected user {me}: a program of that user "
+                f"may run under the name {name!r}; ask them or root, or choose another name"
             ) from None
         if e.errno not in REFUSALS:
             raise BlockError(f"cannot open the lock file {path}: {e}; {remedy}") from None
         raise refused_file(f"the lock file {path}", e, SHM_ROOT) from None
     why = ""
+    if status.st_uid != me and (pid := holder(name)) > 0:
+        os.close(fd)
+        raise NoPermissionError(
+            f"the name {name!r} is in use: a program runs under it as user {status.st_uid} (pid {pid}); end "
+            "it there, or choose another name"
+        )
     if status.st_uid != me:
         why = f"belongs to user {status.st_uid}, expected user {me}"
     elif status.st_mode & 0o177:

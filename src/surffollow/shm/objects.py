@@ -144,7 +144,10 @@ class SharedObject:
             raise BlockError(f"cannot open shared-memory object {name!r}: {e}") from None
         if status.st_size == 0:
             os.close(fd)
-            raise NotReadyError(f"shared-memory object {name!r} is being made; try again")
+            raise NotReadyError(
+                f"shared-memory object {name!r} is empty: it is being made, or no program's; try again, and "
+                f"remove it if it stays so (ls -l {path})"
+            )
         try:
             return cls(name, fd, status.st_size, writable)
         except (OSError, ValueError) as e:  # ValueError: it was cut meanwhile

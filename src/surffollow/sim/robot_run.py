@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import FaultError, NotRunningError, PoseError
+from surffollow.errors import FaultError, LayoutMismatchError, NoPermissionError, PoseError, RefusedError
 from surffollow.sim.robot import RobotCore
 from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.standstill import Standstill, Stoppable
@@ -19,6 +19,7 @@ from surffollow.sim.world import WorldWriter
 
 RETRY_NS = 200_000_000
 FIFO_PRIORITY = 20  # above other programs, below any service
+FINAL = (RefusedError, NoPermissionError, LayoutMismatchError)  # another attempt ends as this one did
 
 
 HELD_PART, HELD_TICKS = 0.1, 50  # of its periods, and the first half second: more is no following
@@ -94,34 +95,34 @@ class Controller:
         Raises
         ------
         FaultError
-            when that still fails after `wait_s`
+            when that still fails after `wait_s`; at once, when another attempt cannot succeed
         KeyboardInterrupt
             when `stopped()` while it waits
         """
         deadline = time.monotonic() + wait_s
-        while not self._try_attach():
+        while (error := self._try_attach()) is not None:
             if stopped():
                 raise KeyboardInterrupt
-            if time.monotonic() > deadline:
-                raise NotRunningError(self.fault)
+            if isinstance(error, FINAL) or time.monotonic() > deadline:
+                raise error
             time.sleep(0.05)
 
-    def _try_attach(self) -> bool:
+    def _try_attach(self) -> FaultError | None:
         try:
             service = self._attach()
         except FaultError as error:
             self.fault = str(error)
-            return False
+            return error
         try:
             service.claim_pose()
             service.sf_reset(self._core.desired_m)
         except FaultError as error:
             self.fault = str(error)
             service.close()
-            return False
+            return error
         self._service, self._epoch, self.fault = service, 0, ""
         self.attachments += 1
-        return True
+        return None
 
     def tick(self) -> None:
         """Do what a controller does 100 times a second: take the demand, then report where the tool was."""

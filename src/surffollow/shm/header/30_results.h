@@ -49,7 +49,7 @@ static inline const char *sf_strerror(int result) {
     case SF_NO_READING: return "there is no valid distance now";
     case SF_UNKNOWN: return "no height is known there";
     case SF_ERR_ARGUMENT: return "an argument is missing or outside its range";
-    case SF_ERR_NAME: return "a service's name is 1 to 48 letters, digits, '.', '_' or '-', none of '._-' first, no .sock, .lock, .map or .world last";
+    case SF_ERR_NAME: return "a service's name is 1 to 48 letters, digits, '.', '_' or '-', none of '._-' first, no .sock, .lock, .map, .stop or .world last";
     case SF_ERR_POSE: return "a pose is seven finite numbers: x y z within 1e9 m, a quaternion of norm 1 within 1e-3";
     case SF_ERR_POSE_FUTURE: return "the pose is stamped more than 1 ms ahead; use CLOCK_MONOTONIC";
     case SF_ERR_POSE_OLD: return "the pose is older than pose_timeout_ns; the service takes none so old";

@@ -112,7 +112,7 @@ static inline int sf_i_name_ok(const char *name) {
     if (n >= 48) return 0;
   }
   /* the names of a service's own objects */
-  static const char *const objects[] = {".sock", ".lock", ".map", ".world"};
+  static const char *const objects[] = {".sock", ".lock", ".map", ".stop", ".world"};
   for (size_t k = 0; k < sizeof objects / sizeof objects[0]; k++) {
     const size_t m = strlen(objects[k]);
     if (n > m && strcmp(name + n - m, objects[k]) == 0) return 0;

@@ -1,0 +1,129 @@
+"""Keep the latched stop, and the hash of the parameters in force, when a map is purged.
+
+They stand in the map while there is one. `stop --purge` stores them in NAME.stop before it removes the map,
+because controllers attach to the next start by themselves. The next start takes them over when it is ready.
+
+No NumPy here: `surffollow stop` of a client-only installation imports this.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Collection
+from typing import NamedTuple
+
+from surffollow.client.board import unpack_schema
+from surffollow.config.names import check_object_name
+from surffollow.config.stop_causes import stop_names
+from surffollow.config.trusted_users import own_user
+from surffollow.errors import BlockError, NoPermissionError
+from surffollow.shm import map_layout as ml
+from surffollow.shm.checked_open import open_plain
+from surffollow.shm.layout_follow import STOP_START
+from surffollow.shm.objects import SHM_ROOT, SharedObject, unlink
+
+ENDING = ".stop"
+_BYTES = 64
+
+
+class KeptStop(NamedTuple):
+    """Words of the map's header that outlive it; all 0: the next start begins as the first one does."""
+
+    causes: int
+    params_hash: int
+
+    def text(self) -> str:
+        """The kept stop in words."""
+        if self.causes:
+            return f"the latched stop ({', '.join(stop_names(self.causes))})"
+        return "the mark that parameters were in force, perhaps of a robot that still follows,"
+
+
+NOTHING = KeptStop(0, 0)
+
+
+def keep_stop(name: str) -> KeptStop:
+    """Store the stop of a name's map in NAME.stop, and return the stop that is kept now; the name is ours.
+
+    Raises
+    ------
+    NoPermissionError, NoSpaceError, BlockError
+    """
+    found, owner = _stop_of_map(name)
+    if found == NOTHING:
+        return read_kept_stop(name)
+    text = f"{found.causes} {found.params_hash}\n".encode()
+
+    def prepare(made: SharedObject) -> None:
+        made.memory[: len(text)] = text
+        if owner != own_user():  # root purges for a user: that user's next start reads it
+            os.fchown(made.fd, owner, -1)
+
+    forget_stop(name)  # the map, which is still there, says the same or more
+    SharedObject.create(name + ENDING, _BYTES, 0o600, prepare=prepare).close()
+    return found
+
+
+def read_kept_stop(name: str) -> KeptStop:
+    """Read the words that a purge has kept under a name.
+
+    Raises
+    ------
+    NoPermissionError  another user's object stands there
+    BlockError         something else stands there
+    """
+    text, _ = _read(name + ENDING, _BYTES, () if own_user() == 0 else (own_user(),))
+    words = text.rstrip(b"\0").split()
+    if not words:
+        return NOTHING
+    with contextlib.suppress(ValueError):
+        causes, params_hash = (int(word) for word in words)
+        return KeptStop(causes, params_hash)
+    return KeptStop(STOP_START, 0)  # not readable: stopped all the same
+
+
+def forget_stop(name: str) -> bool:
+    """Remove what a purge has kept; False when there was nothing."""
+    return unlink(name + ENDING)
+
+
+def _stop_of_map(name: str) -> tuple[KeptStop, int]:
+    """Those words of a name's map, and its owner."""
+    try:
+        head, owner = _read(f"{name}.map", ml.MapHeader.SIZE)
+    except NoPermissionError:
+        raise
+    except BlockError:  # no plain file: never a map
+        return NOTHING, own_user()
+    if len(head) < ml.MapHeader.SIZE:
+        return NOTHING, owner
+    header = unpack_schema(ml.MapHeader, head)
+    if header["magic"] != ml.MAGIC:
+        return NOTHING, owner
+    if header["layout_hash"] != ml.LAYOUT_HASH:  # of another release: stopped all the same
+        return KeptStop(STOP_START, 0), owner
+    return KeptStop(header["stop"], header["params_hash"]), owner
+
+
+def _read(name: str, size: int, owners: Collection[int] = ()) -> tuple[bytes, int]:
+    """The beginning of an object and its owner; b"" when there is none."""
+    path = SHM_ROOT / check_object_name(name)
+    try:
+        fd, status = open_plain(path, os.O_RDONLY, owners=owners)
+    except FileNotFoundError:
+        return b"", own_user()
+    except PermissionError:
+        raise NoPermissionError(
+            f"no permission to read {path}; ask its owner or root (ls -l {path})"
+        ) from None
+    except BlockError:
+        raise
+    except OSError as e:
+        raise BlockError(f"cannot open {path}: {e}; look at it (ls -l {path})") from None
+    try:
+        return os.pread(fd, size, 0), status.st_uid
+    except OSError as e:
+        raise BlockError(f"cannot read {path}: {e}; look at it (ls -l {path})") from None
+    finally:
+        os.close(fd)

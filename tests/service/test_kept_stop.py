@@ -1,0 +1,139 @@
+"""A stop outlives the purge of the map that holds it: controllers attach to the next start by themselves."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from running_service import Service, World, drive, objects_of, unique_name, until
+from second_user import NOBODY, needs_root
+from surffollow.client import Client
+from surffollow.service.kept_stop import NOTHING, KeptStop, keep_stop, read_kept_stop
+from surffollow.service.name_owner import remove_all
+from surffollow.shm import map_layout as ml
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_follow import STOP_REQUEST, STOP_START
+from surffollow.shm.objects import SHM_ROOT
+
+Make = Callable[..., Service]
+
+
+@pytest.fixture
+def killable(make_service: Make) -> Iterator[Service]:
+    """A service with a simulated sensor over flat ground."""
+    s = make_service(kind="simulated", access='parameters = "any"')
+    s.world = World(s.name)
+    yield s.start()
+    s.world.close()
+
+
+@pytest.fixture
+def name() -> Iterator[str]:
+    """A name of no service; its objects are removed at the end."""
+    made = unique_name("kept")
+    yield made
+    for part in objects_of(made):
+        (SHM_ROOT / part).unlink()
+
+
+def valid(client: Client) -> bool:
+    return client.dev_vector().valid
+
+
+def purged(service: Service) -> bool:
+    """Stop and purge; whether a stop was kept, which the standard error says, too."""
+    done = service.run("stop", "--purge", "--json")
+    assert done.returncode == 0, done.stderr
+    kept = bool(json.loads(done.stdout)["stop_kept"])
+    assert ("is kept for the next start" in done.stderr) == kept
+    return kept
+
+
+def test_a_latched_stop_outlives_a_purge_and_a_start_with_other_memory(killable: Service) -> None:
+    # GIVEN a controller that goes on, and a stop
+    with killable.attach() as driver:
+        drive(driver, lambda: valid(driver), what="a demand")
+        driver.stop("a person came near")
+        drive(driver, lambda: driver.status()["stopped"] == ["request"], what="the stop")
+        # WHEN the service is purged, twice, and starts with room for another number of grids
+        assert purged(killable)
+        assert objects_of(killable.name) - {f"{killable.name}.world", f"{killable.name}.world.lock"} == {
+            f"{killable.name}.stop"
+        }
+        again = killable.run("stop", "--purge")
+        assert again.returncode == 1
+        assert "latched stop (request) is kept" in again.stderr
+        killable._reap()
+        killable.config.write_text(killable.config.read_text().replace("grids = 20000", "grids = 30000"))
+        killable.start()
+        assert f"{killable.name}.stop" not in objects_of(killable.name), "it stands in the map"
+        # THEN it is stopped until the holder resets it
+        drive(driver, lambda: driver.status()["stopped"] == ["request"], what="the stop of the next one")
+        assert not valid(driver)
+        drive(driver, lambda: driver.slot >= 0, what="a slot of the new one")
+        driver.reset_stop()
+        drive(driver, lambda: valid(driver), what="a demand after the reset")
+        driver.release_pose()
+        until(lambda: driver.status()["main"]["pose_slot"] == -1, "the pose is free")
+        assert not purged(killable), "a stop that was reset is over"
+        killable._reap()
+
+
+@pytest.mark.parametrize("end", ["killed", "ended"])
+def test_parameters_in_force_under_a_robot_stop_the_next_start_after_a_purge(
+    killable: Service, end: str
+) -> None:
+    with killable.attach() as driver:
+        driver.sf_reset(0.09)
+        drive(driver, lambda: valid(driver), what="a demand")
+        if end == "killed":
+            killable.kill()
+        assert purged(killable)
+        if end == "ended":
+            killable._reap()
+        killable.start()
+        drive(driver, lambda: driver.status()["stopped"] == ["restart"], what="the stop")
+        assert not valid(driver)
+
+
+def put_map(name: str, **fields: int) -> Path:
+    """An object NAME.map that begins with a header of these fields."""
+    header = zeros(ml.MapHeader)
+    header["magic"], header["layout_hash"] = ml.MAGIC, ml.LAYOUT_HASH
+    for field, value in fields.items():
+        header[field] = value
+    path = SHM_ROOT / f"{name}.map"
+    path.write_bytes(header.tobytes())
+    return path
+
+
+def test_what_is_kept_is_what_the_map_says(name: str) -> None:
+    assert keep_stop(name) == NOTHING
+    put_map(name)
+    assert keep_stop(name) == NOTHING
+    assert objects_of(name) == {f"{name}.map"}
+    for kept in (KeptStop(STOP_REQUEST, 0), KeptStop(0, -5), KeptStop(STOP_REQUEST, 1 << 62)):
+        put_map(name, stop=kept.causes, params_hash=kept.params_hash)
+        assert keep_stop(name) == kept
+        assert read_kept_stop(name) == kept
+        assert (SHM_ROOT / f"{name}.stop").stat().st_mode & 0o777 == 0o600
+    remove_all(name)
+    assert objects_of(name) == set()
+
+
+def test_what_cannot_be_read_begins_stopped(name: str) -> None:
+    put_map(name, layout_hash=1)
+    assert keep_stop(name) == KeptStop(STOP_START, 0), "a map of another release"
+    (SHM_ROOT / f"{name}.stop").write_text("what\n")
+    assert read_kept_stop(name) == KeptStop(STOP_START, 0)
+
+
+@needs_root
+def test_a_stop_that_root_keeps_for_a_user_belongs_to_that_user(name: str) -> None:
+    os.chown(put_map(name, stop=STOP_REQUEST), NOBODY, -1)
+    keep_stop(name)
+    assert (SHM_ROOT / f"{name}.stop").stat().st_uid == NOBODY
