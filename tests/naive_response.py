@@ -51,6 +51,8 @@ class NaiveResponse:
     begin_z_m: float = 0.0
     descent_m: tuple[float, float] | None = None  # least and greatest mean range of one that is to be tested
     swing_m: float = 0.0
+    shift_z_m: float = 0.0
+    shift_lead_m: float = 0.0
 
     def _begin_run(self, z_m: float) -> None:
         self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
