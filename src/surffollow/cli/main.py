@@ -75,15 +75,15 @@ class LazyGroup(click.Group):
             if ctx.meta[AS_JSON]:
                 print_error(error)
             raise
-        except (MemoryError, RuntimeError, OSError) as error:
-            if lacks_memory(error) and ctx.meta[AS_JSON]:
-                click.echo(json_error(NO_MEMORY, FaultError.__name__, 1))
-            raise
         except (KeyboardInterrupt, click.Abort, Terminated) as end:
             text, code = ending(end)
             if ctx.meta[AS_JSON]:
                 click.echo(json_error(text, type(end).__name__, code))
             raise click.exceptions.Exit(code) from None
+        except (MemoryError, RuntimeError, OSError) as error:
+            if lacks_memory(error) and ctx.meta[AS_JSON]:
+                click.echo(json_error(NO_MEMORY, FaultError.__name__, 1))
+            raise
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
