@@ -122,7 +122,10 @@ class NaiveResponse:
                 self.settled_ns, self.proven_m = 0, 0.0
             elif tests:
                 self.settled_ns = back_ns
-                self.proven_m = 0.0 if self.rose else self.mean_m
+                rates_mps = self.rates_mps or [0.0]
+                moved_m = math.fsum(rates_mps) / len(rates_mps) * self.number * self.interval_s
+                jumps = abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m + moved_m
+                self.proven_m = 0.0 if self.rose or jumps else self.mean_m
             if begins or abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m:
                 self.mean_m = range_m
             self._begin_run(z_m)

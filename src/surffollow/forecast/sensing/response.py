@@ -89,9 +89,8 @@ def answer_s(adaptive, means):
 def _proven_descent_m(params, adaptive, rate_s, sparse):
     """Descent behind an answer that is not tested [m], at the rate of the run for a time `rate_s` at least.
 
-    Where the range responded at r, the ground lay at r. A tool that is on its way to the stand-off s₀ may
-    descend by r − s₀ and another 0.25 s₀, less where the next answer takes long. Of a slow sensor chance may
-    have made the answer: r does not count.
+    Where the range responded at r, the ground lay at r. The tool may descend by r − s₀ and another 0.25 s₀,
+    less where the next answer takes long. Of a slow sensor chance may have made the answer: r does not count.
     """
     standoff_m = params.offset_m
     room_m = MAX_DESCENT * standoff_m - adaptive.run.rate_mps * rate_s
@@ -124,7 +123,7 @@ def _update_run(params, adaptive, tool_z_m):
     steep = not rises and run.rate_mps * wait_s > STEEP * params.offset_m
     if steep:  # the greater shift is answered sooner
         wait_s, means = answer_s(adaptive, 1.0) - tau_s, 1.0
-    stop_s, least_m = adaptive.latency.delay_s + tau_s, MOTION_BANDS * band_m  # until the axis has stopped
+    stop_s, least_m = adaptive.latency.delay_s + tau_s, MOTION_BANDS * band_m
     if run.mean_m < params.offset_m + max(band_m, mean_range.LAG_TAUS * tau_s * run.rate_mps):
         response.proven_m = 0.0
     returns = response.proven_m > 0.0 and not rises and not repeated
@@ -234,13 +233,17 @@ def _responds(adaptive):
 
 
 @jit
-def _note_answer(adaptive):
-    """Note the answer to a test or a shift: its range, and when the axis has its speed again."""
-    response = adaptive.response
+def _note_answer(adaptive, deviation_m):
+    """Note the answer to a test or a shift: until when the axis speeds up, and the range that is proven.
+
+    A jump from the mean range by more than noise and the way of the tool in its time is no proof.
+    """
+    response, mean_s = adaptive.response, mean_range.mean_samples(adaptive) * adaptive.prediction.interval_s
     if response.phase == RESPONSE_RUN and response.lift_m == 0.0:
         return
     response.settled_ns = response.t_ns + int(1e9 * answer_s(adaptive, 1.0))
-    response.proven_m = adaptive.run.mean_m if response.rises == 0 else 0.0
+    moved_m = mean_range.BAND_SIGMAS * range_noise_m(adaptive.noise) + adaptive.run.rate_mps * mean_s
+    response.proven_m = adaptive.run.mean_m if response.rises == 0 and deviation_m <= moved_m else 0.0
 
 
 @jit_inlined
@@ -274,7 +277,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
         if begins:
             response.settled_ns, response.proven_m = 0, 0.0
         else:
-            _note_answer(adaptive)
+            _note_answer(adaptive, abs(range_m - mean_m))
         # of a step the mean sees a part
         step = begins or abs(range_m - mean_m) > noise_m
         _begin_run(params, adaptive, tool_z_m, range_m if step else mean_m)
