@@ -155,8 +155,7 @@ def _test_descent(params, adaptive, tool_z_m, spread_m):
     """Hold the tool in a descent that the ranges do not explain; the middle of their spread must change."""
     response, descent = adaptive.response, adaptive.descent
     _begin_run(params, adaptive, tool_z_m, 0.5 * (descent.most_m + descent.least_m))
-    response.swing_m = spread_m
-    response.rises = 0
+    response.swing_m, response.rises = spread_m, 0
     _begin_phase(response, RESPONSE_HOLD, tool_z_m)
 
 
