@@ -125,7 +125,8 @@ class NaiveResponse:
                 rates_mps = self.rates_mps or [0.0]
                 moved_m = math.fsum(rates_mps) / len(rates_mps) * self.number * self.interval_s
                 jumps = abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m + moved_m
-                self.proven_m = 0.0 if self.rose or jumps else self.mean_m
+                proven_m = self.mean_m if self.mean_m > self.run_m else min(self.proven_m, self.mean_m)
+                self.proven_m = 0.0 if self.rose or jumps else proven_m
             if begins or abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m:
                 self.mean_m = range_m
             self._begin_run(z_m)

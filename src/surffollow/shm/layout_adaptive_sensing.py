@@ -118,7 +118,7 @@ class Response(Schema):
     t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none")
     lift_m = F64(unit="m", doc="by which the setpoint is shifted up in a long run and in a lift")
     rises = I64(doc="1: the tool climbs, or climbed when the test began")
-    lead_m = F64(unit="m", doc="excess lead of the unshifted setpoint when the lift began")
+    lead_m = F64(unit="m", doc="excess lead of the unshifted setpoint when the lift or shift began")
     missing_m = F64(unit="m", doc="by which the tool misses a lift; of an ascent, a running mean")
     test_z_m = F64(unit="m", doc="height of the tool when phase or shift began")
     ceiling_z_m = F64(unit="m", doc="greatest setpoint in a lift, and of a sensor that did not respond")

@@ -21,6 +21,7 @@ from surffollow.shm.layout_adaptive_sensing import (
 MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
 SHIFT_ERROR_MOTION = mean_range.ERROR_MOTION / 6.0  # from which the setpoint is shifted up …
 SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off
+MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 
@@ -70,6 +71,19 @@ def observe_motion(run, tool_z_m, climb_mps):
     run.top_z_m, run.low_z_m = max(run.top_z_m, tool_z_m), min(run.low_z_m, tool_z_m)
     run.rate_mps += (abs(climb_mps) - run.rate_mps) / run.samples
     return run.top_z_m - tool_z_m, tool_z_m - run.low_z_m
+
+
+@jit
+def proven_descent_m(params, adaptive, rate_s, sparse):
+    """Descent behind an answer that is not tested [m], at the rate of the run for a time `rate_s` at least.
+
+    Where the range responded at r, the ground lay at r. The tool may descend by r − s₀ and another 0.25 s₀,
+    less where the next answer takes long. Of a slow sensor chance may have made the answer: r does not count.
+    """
+    standoff_m = params.offset_m
+    room_m = MAX_DESCENT * standoff_m - adaptive.run.rate_mps * rate_s
+    higher_m = 0.0 if sparse else adaptive.response.proven_m - standoff_m
+    return min(SHIFT_DESCENT * standoff_m, room_m) + higher_m
 
 
 @jit

@@ -13,7 +13,7 @@ must then change by more than it varied.
 from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.quantities import tolerated_gap_s
 from surffollow.forecast.sensing import constant_ranges, mean_range
-from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
+from surffollow.forecast.sensing.constant_ranges import MAX_DESCENT, MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import (
@@ -26,7 +26,6 @@ from surffollow.shm.layout_adaptive_sensing import (
     SIGN_FOR_SHIFT,
 )
 
-MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
 SHIFT_BANDS = 2.0  # by so many bands the setpoint is shifted up, by twice as many in a steep descent
 STEEP = 0.5  # of the stand-off: a descent that goes farther in the time of an answer is steep
 ASCENT_SHARE = 0.25  # of an ascent counts
@@ -86,19 +85,6 @@ def answer_s(adaptive, means):
 
 
 @jit
-def _proven_descent_m(params, adaptive, rate_s, sparse):
-    """Descent behind an answer that is not tested [m], at the rate of the run for a time `rate_s` at least.
-
-    Where the range responded at r, the ground lay at r. The tool may descend by r − s₀ and another 0.25 s₀,
-    less where the next answer takes long. Of a slow sensor chance may have made the answer: r does not count.
-    """
-    standoff_m = params.offset_m
-    room_m = MAX_DESCENT * standoff_m - adaptive.run.rate_mps * rate_s
-    higher_m = 0.0 if sparse else adaptive.response.proven_m - standoff_m
-    return min(constant_ranges.SHIFT_DESCENT * standoff_m, room_m) + higher_m
-
-
-@jit
 def _update_run(params, adaptive, tool_z_m):
     """Shift the setpoint, or hold the tool, in a motion with a constant range that gives cause to it.
 
@@ -128,7 +114,7 @@ def _update_run(params, adaptive, tool_z_m):
         response.proven_m = 0.0
     returns = response.proven_m > 0.0 and not rises and not repeated
     if returns:
-        least_m = max(least_m, _proven_descent_m(params, adaptive, wait_s + stop_s, sparse))
+        least_m = max(least_m, constant_ranges.proven_descent_m(params, adaptive, wait_s + stop_s, sparse))
         sign = SIGN_FOR_SHIFT if descent > least_m else NO_SIGN
     if response.t_ns < response.settled_ns and not repeated:
         sign = NO_SIGN
@@ -235,14 +221,17 @@ def _responds(adaptive):
 def _note_answer(adaptive, deviation_m):
     """Note the answer to a test or a shift: until when the axis speeds up, and the range that is proven.
 
-    A jump from the mean range by more than noise and the way of the tool in its time is no proof.
+    A jump from the mean range by more than noise and the way of the tool in its time is no proof, nor is a
+    shorter range: where the ground falls, a test makes it longer.
     """
     response, mean_s = adaptive.response, mean_range.mean_samples(adaptive) * adaptive.prediction.interval_s
     if response.phase == RESPONSE_RUN and response.lift_m == 0.0:
         return
     response.settled_ns = response.t_ns + int(1e9 * answer_s(adaptive, 1.0))
     moved_m = mean_range.BAND_SIGMAS * range_noise_m(adaptive.noise) + adaptive.run.rate_mps * mean_s
-    response.proven_m = adaptive.run.mean_m if response.rises == 0 and deviation_m <= moved_m else 0.0
+    mean_m, proven_m = adaptive.run.mean_m, response.proven_m
+    proven_m = mean_m if mean_m > adaptive.run.range_m else min(proven_m, mean_m)
+    response.proven_m = proven_m if response.rises == 0 and deviation_m <= moved_m else 0.0
 
 
 @jit_inlined
