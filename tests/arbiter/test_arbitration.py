@@ -38,7 +38,7 @@ def test_the_higher_priority_wins_and_the_lower_gets_the_holders_name(attach_cli
     assert (reply.reason, reply.holder, reply.holder_priority) == ("DENY", "wall", 30)
     assert not go.command(0.1, 0.1)
     wall.relinquish()
-    assert go.holder() is None
+    until(lambda: go.holder() is None)
     assert go.request()
 
 

@@ -54,7 +54,7 @@ def test_threads_of_a_client_that_is_closed_end_and_hold_nothing(service: Servic
         assert ends == dict.fromkeys(CALLS, "closed")
         with service.observe() as watcher:
             until(lambda w=watcher: w.status()["main"]["clients"] == 0, "the slot is free")
-            assert watcher.status()["main"]["pose_slot"] == -1
+            until(lambda w=watcher: w.status()["main"]["pose_slot"] == -1, "the pose is free")
 
 
 @pytest.mark.parametrize("how", ["ensure_slot", "await_slot", "reattach"])

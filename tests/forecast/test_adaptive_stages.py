@@ -468,10 +468,10 @@ def test_a_look_ahead_sensor_halves_the_error_and_its_bias_is_estimated():
 
 
 def test_a_second_sensor_beside_or_behind_changes_nothing():
-    alone = stand_off_rms([{}], [0.0])
-    for where in ([-0.05, 0.0, 0.0],):
-        both = stand_off_rms([{}, {"position_m": where}], [0.0, 0.0])
-        assert both == pytest.approx(alone, rel=0.15)
+    alone = [stand_off_rms([{}], [0.0], seed) for seed in range(3, 6)]
+    beside = [{}, {"position_m": [-0.05, 0.0, 0.0]}]
+    both = [stand_off_rms(beside, [0.0, 0.0], seed) for seed in range(3, 6)]
+    assert np.mean(both) == pytest.approx(np.mean(alone), rel=0.1)
 
 
 def follow_at_rest(bad: dict[int, float], step_m: float = 0.0, count: int = 1500) -> tuple[float, float]:
