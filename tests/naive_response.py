@@ -238,9 +238,9 @@ class NaiveResponse:
         """The target, shifted up in a long run or in the test of an ascent, or what a test asks for."""
         if self.phase == RUN:
             shifted = self.shift_ns is not None and not self.rose
-            if not shifted or self.shift_lead_m >= -self.lift_m:
+            rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps) if shifted else 0.0
+            if not shifted or -self.shift_lead_m <= max(self.lift_m, self.tau_s * rate_mps):
                 return target_m + self.lift_m
-            rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
             since_s = (self.last_ns - self.shift_ns) * 1e-9 + self.tau_s
             return max(target_m + self.lift_m, self.shift_z_m - rate_mps * since_s + self.lift_m)
         if self.phase == NONE:
