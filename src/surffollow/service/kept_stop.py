@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Collection
 from typing import NamedTuple
 
 from surffollow.client.board import unpack_schema
@@ -19,7 +18,7 @@ from surffollow.config.stop_causes import stop_names
 from surffollow.config.trusted_users import own_user
 from surffollow.errors import BlockError, NoPermissionError
 from surffollow.shm import map_layout as ml
-from surffollow.shm.checked_open import open_plain
+from surffollow.shm.checked_open import read_head
 from surffollow.shm.layout_follow import STOP_START
 from surffollow.shm.objects import SHM_ROOT, SharedObject, unlink
 
@@ -73,7 +72,8 @@ def read_kept_stop(name: str) -> KeptStop:
     NoPermissionError  another user's object stands there
     BlockError         something else stands there
     """
-    text, _ = _read(name + ENDING, _BYTES, () if own_user() == 0 else (own_user(),))
+    path = SHM_ROOT / check_object_name(name + ENDING)
+    text, _ = read_head(path, _BYTES, owners=() if own_user() == 0 else (own_user(),))
     words = text.rstrip(b"\0").split()
     if not words:
         return NOTHING
@@ -91,7 +91,7 @@ def forget_stop(name: str) -> bool:
 def _stop_of_map(name: str) -> tuple[KeptStop, int]:
     """Those words of a name's map, and its owner."""
     try:
-        head, owner = _read(f"{name}.map", ml.MapHeader.SIZE)
+        head, owner = read_head(SHM_ROOT / check_object_name(f"{name}.map"), ml.MapHeader.SIZE)
     except NoPermissionError:
         raise
     except BlockError:  # no plain file: never a map
@@ -104,26 +104,3 @@ def _stop_of_map(name: str) -> tuple[KeptStop, int]:
     if header["layout_hash"] != ml.LAYOUT_HASH:  # of another release: stopped all the same
         return KeptStop(STOP_START, 0), owner
     return KeptStop(header["stop"], header["params_hash"]), owner
-
-
-def _read(name: str, size: int, owners: Collection[int] = ()) -> tuple[bytes, int]:
-    """The beginning of an object and its owner; b"" when there is none."""
-    path = SHM_ROOT / check_object_name(name)
-    try:
-        fd, status = open_plain(path, os.O_RDONLY, owners=owners)
-    except FileNotFoundError:
-        return b"", own_user()
-    except PermissionError:
-        raise NoPermissionError(
-            f"no permission to read {path}; ask its owner or root (ls -l {path})"
-        ) from None
-    except BlockError:
-        raise
-    except OSError as e:
-        raise BlockError(f"cannot open {path}: {e}; look at it (ls -l {path})") from None
-    try:
-        return os.pread(fd, size, 0), status.st_uid
-    except OSError as e:
-        raise BlockError(f"cannot read {path}: {e}; look at it (ls -l {path})") from None
-    finally:
-        os.close(fd)

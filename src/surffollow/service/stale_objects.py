@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 from surffollow.client.board import unpack_schema
 from surffollow.config.names import check_object_name
-from surffollow.errors import AlreadyRunningError, BlockError, NoPermissionError
+from surffollow.errors import AlreadyRunningError, BlockError
 from surffollow.shm import layout_board as lb
-from surffollow.shm.checked_open import kind_of, open_plain
+from surffollow.shm.checked_open import kind_of, read_head
 from surffollow.shm.objects import SHM_ROOT, unlink
 from surffollow.shm.process import belongs_to, boot_id, is_running
 from surffollow.shm.unix_socket import socket_path
@@ -30,26 +30,8 @@ class _Found(NamedTuple):
 
 def _found(name: str) -> _Found | None:
     """Contents under the name; None when there is nothing or it is empty."""
-    path = SHM_ROOT / check_object_name(name)
-    try:
-        fd, status = open_plain(path, os.O_RDONLY)
-    except FileNotFoundError:
-        return None
-    except PermissionError:
-        raise NoPermissionError(
-            f"no permission to read shared-memory object {name!r}; join its group (ls -l {path}) or run as "
-            "the service's user"
-        ) from None
-    except BlockError:
-        raise
-    except OSError as e:
-        raise BlockError(f"cannot open {path}: {e}; look at it (ls -l {path})") from None
-    try:
-        return _Found(os.pread(fd, lb.BoardHeader.SIZE, 0), status.st_uid) if status.st_size else None
-    except OSError as e:
-        raise BlockError(f"cannot read {path}: {e}; look at it (ls -l {path})") from None
-    finally:
-        os.close(fd)
+    head, owner = read_head(SHM_ROOT / check_object_name(name), lb.BoardHeader.SIZE)
+    return _Found(head, owner) if head else None
 
 
 def _live_owner(found: _Found) -> int:

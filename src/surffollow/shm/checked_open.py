@@ -68,6 +68,45 @@ def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple
     return fd, status
 
 
+def read_head(path: Path, size: int, *, owners: Collection[int] = ()) -> tuple[bytes, int]:
+    """Read the beginning of a shared-memory object without mapping it.
+
+    Parameters
+    ----------
+    path : Path
+    size : int              bytes at most
+    owners : users          permitted owners; empty: any user
+
+    Returns
+    -------
+    bytes, int              the beginning, and the object's owner; b"", -1 when there is none
+
+    Raises
+    ------
+    NoPermissionError   not readable, or of another user than those
+    BlockError          it is no plain file, or the kernel refuses
+    """
+    try:
+        fd, status = open_plain(path, os.O_RDONLY, owners=owners)
+    except FileNotFoundError:
+        return b"", -1
+    except PermissionError:
+        raise NoPermissionError(
+            f"no permission to read shared-memory object {path.name!r}; join its group (ls -l {path}) or run "
+            "as the service's user"
+        ) from None
+    except BlockError:
+        raise
+    except OSError as e:
+        raise BlockError(f"cannot open {path}: {e}; look at it (ls -l {path})") from None
+    try:
+        return os.pread(fd, size, 0), status.st_uid
+    except OSError as e:
+        raise BlockError(f"cannot read {path}: {e}; look at it (ls -l {path})") from None
+    finally:
+        os.close(fd)
+
+
 def foreign(name: str, found: int, owners: Collection[int]) -> str:
     """Error text for an object of an untrusted user, for one who reads it."""
     return f"{_look_at(name, found, owners)}, or name the service's user (owner=, SURFFOLLOW_OWNER)"
