@@ -9,7 +9,8 @@ import socket
 from collections.abc import Callable
 
 from second_user import OtherUser
-from surffollow.client.board import LAYOUT_HASH, Board
+from surffollow.client.board import Board
+from surffollow.client.start_wait import LAYOUT_HASH
 from surffollow.service.slot_server import MAX_PENDING_PER_USER
 from surffollow.shm import layout_slot as ls
 from surffollow.shm.unix_socket import new_socket, socket_path

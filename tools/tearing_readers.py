@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from surffollow.client.board import Board, LatchReader
+from surffollow.client.board import Board
+from surffollow.client.latch_reader import LatchReader
 from surffollow.shm import atomics as at
 from surffollow.shm.cheader import HEADER
 from surffollow.shm.latch import latch_write

@@ -13,8 +13,9 @@ from click.testing import CliRunner
 
 from surffollow.cli import status as status_module
 from surffollow.cli.main import cli
-from surffollow.client import board as board_module
-from surffollow.client.board import Board, start_report
+from surffollow.client import start_wait
+from surffollow.client.board import Board
+from surffollow.client.start_wait import start_report
 from surffollow.config.service import ServiceConfig
 from surffollow.errors import NotReadyError, NotRunningError
 from surffollow.service.notify import CompileProgress
@@ -57,7 +58,7 @@ def objects() -> Iterator[SharedObjects]:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(board_module, "time", clock)
+    monkeypatch.setattr(start_wait, "time", clock)
     return clock
 
 
@@ -113,7 +114,7 @@ def test_it_does_not_wait_for_one_that_died_while_it_compiled(
 ) -> None:
     # GIVEN a service that died while it compiled
     tell(objects, "compiling kernels, 7: one")
-    monkeypatch.setattr(board_module, "is_running", lambda *_: False)
+    monkeypatch.setattr(start_wait, "is_running", lambda *_: False)
     # WHEN a client attaches, THEN it hears so at once
     with pytest.raises(NotRunningError, match=r"died while it started; start it again \(surffollow start"):
         Board(NAME)
@@ -158,7 +159,7 @@ def test_the_status_of_a_service_that_died_while_it_compiled_is_no_start(
 ) -> None:
     tell(objects, "compiling kernels, 7: one")
     assert start_report(NAME) is not None
-    monkeypatch.setattr(board_module, "is_running", lambda *_: False)
+    monkeypatch.setattr(start_wait, "is_running", lambda *_: False)
     assert start_report(NAME) is None
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from running_service import Service, World, drive, objects_of, unique_name, until
+from running_service import Service, drive, objects_of, unique_name, until
 from second_user import NOBODY, needs_root
 from surffollow.client import Client
 from surffollow.service.kept_stop import NOTHING, KeptStop, keep_stop, read_kept_stop
@@ -20,15 +20,6 @@ from surffollow.shm.layout_follow import STOP_REQUEST, STOP_START
 from surffollow.shm.objects import SHM_ROOT
 
 Make = Callable[..., Service]
-
-
-@pytest.fixture
-def killable(make_service: Make) -> Iterator[Service]:
-    """A service with a simulated sensor over flat ground."""
-    s = make_service(kind="simulated", access='parameters = "any"')
-    s.world = World(s.name)
-    yield s.start()
-    s.world.close()
 
 
 @pytest.fixture

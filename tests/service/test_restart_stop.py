@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,15 +21,6 @@ from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import STOP_REQUEST, STOP_RESTART, STOP_START
 
 Make = Callable[..., Service]
-
-
-@pytest.fixture
-def killable(make_service: Make) -> Iterator[Service]:
-    """A service with a simulated sensor over flat ground."""
-    s = make_service(kind="simulated", access='parameters = "any"')
-    s.world = World(s.name)
-    yield s.start()
-    s.world.close()
 
 
 def valid(client: Client) -> bool:

@@ -21,8 +21,9 @@ from running_service import POSE, READY_S, Service, config_text, take_pose, unti
 from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from service.pose_senders import orphan_of
 from surffollow.client import attach
-from surffollow.client.board import LAYOUT_HASH, Board
+from surffollow.client.board import Board
 from surffollow.client.slot_request import request_slot
+from surffollow.client.start_wait import LAYOUT_HASH
 from surffollow.errors import BusyError, NoPermissionError, NotReadyError
 from surffollow.service.client_table import KEPT_PER_USER, RESERVED
 from surffollow.service.slot_server import MAX_PENDING, MAX_PENDING_PER_USER

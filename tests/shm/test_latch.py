@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from surffollow.client.board import LatchReader
+from surffollow.client.latch_reader import LatchReader
 from surffollow.shm import atomics as at
 from surffollow.shm.latch import latch_read, latch_write
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, latch_bytes, stride

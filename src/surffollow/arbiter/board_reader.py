@@ -8,8 +8,8 @@ import time
 from typing import Any, NamedTuple
 
 from surffollow.arbiter import layout as al
-from surffollow.client.board import CLOSED, unpack_schema
 from surffollow.client.fence import FENCED, fence
+from surffollow.client.latch_reader import CLOSED, unpack_schema
 from surffollow.errors import BlockError, LayoutMismatchError, UsageError
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.name_lock import holder

@@ -16,7 +16,7 @@ import socket
 from collections.abc import Collection
 
 from surffollow.arbiter import layout as al
-from surffollow.client.board import unpack_schema
+from surffollow.client.latch_reader import unpack_schema
 from surffollow.errors import (
     AlreadyRunningError,
     BlockError,

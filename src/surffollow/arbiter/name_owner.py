@@ -8,7 +8,7 @@ import os
 from surffollow.arbiter import layout as al
 from surffollow.blocks.listing import attach_unknown
 from surffollow.blocks.remove import remove_block
-from surffollow.client.board import unpack_schema
+from surffollow.client.latch_reader import unpack_schema
 from surffollow.config.names import check_service_name
 from surffollow.config.trusted_users import own_user
 from surffollow.errors import (

@@ -10,7 +10,7 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter.board_reader import BoardReader, Holder
 from surffollow.arbiter.events import History
 from surffollow.arbiter.table import STATES
-from surffollow.client.board import unpack_schema
+from surffollow.client.latch_reader import unpack_schema
 from surffollow.config.names import check_name
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import NotRunningError

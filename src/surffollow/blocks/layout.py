@@ -137,7 +137,7 @@ def slot_places(schema: type[Schema], latch_offset: int) -> tuple[int, int, int]
 
 def read_header(memory: Any) -> dict[str, Any]:
     """The header's fields; the object is known to be as large as that."""
-    from surffollow.client.board import unpack_schema
+    from surffollow.client.latch_reader import unpack_schema
 
     return unpack_schema(BlockHeader, memory)
 

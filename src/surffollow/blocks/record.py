@@ -177,7 +177,7 @@ class Record:
         BlockError
             the view is over: `read_done` or `write_done` was called
         """
-        from surffollow.client.board import unpack_schema
+        from surffollow.client.latch_reader import unpack_schema
 
         if self._buffer is None:
             raise BlockError("this view is over: read_done or write_done was called; take a new one")

@@ -67,7 +67,7 @@ def _start_within(name: str, wait_s: float) -> dict[str, Any] | None:
 
     A board that a killed service left is no end of the waiting: its supervisor starts the next one.
     """
-    from surffollow.client.board import start_report
+    from surffollow.client.start_wait import start_report
     from surffollow.config.trusted_users import trusted_owners
     from surffollow.errors import NotRunningError
 

@@ -8,8 +8,9 @@ import time
 import weakref
 from typing import Any
 
-from surffollow.client.board import CLOSED, CLOSED_TEXT, Board
+from surffollow.client.board import Board
 from surffollow.client.fence import FENCED, fence
+from surffollow.client.latch_reader import CLOSED, CLOSED_TEXT
 from surffollow.client.map_live import MapReading
 from surffollow.client.service_state import ServiceState
 from surffollow.config.names import check_service_name
@@ -172,7 +173,7 @@ class Attachment(ServiceState, MapReading, Closing):
             raise ClosedError(CLOSED_TEXT)
 
     def close(self) -> None:
-        """Let go of everything; what is called afterwards raises ClosedError."""
+        """Release the board and the map; later calls raise ClosedError."""
         with self._lock:
             self._closed = True
             self._view = (CLOSED, *self._view[1:])

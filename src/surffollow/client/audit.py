@@ -7,8 +7,9 @@ import math
 import time
 from typing import Any
 
-from surffollow.client.board import Board, unpack_schema
+from surffollow.client.board import Board
 from surffollow.client.fence import fence
+from surffollow.client.latch_reader import unpack_schema
 from surffollow.config.stop_causes import stop_names
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import Params

@@ -161,7 +161,7 @@ class ServiceRequests(RangePusher):
 
 
 def _reason_bytes(reason: object) -> bytes:
-    """The reason of a stop as the bytes of the request; no reason, whatever it is, prevents the stop."""
+    """The reason of a stop as the bytes of the request; any object is one, and none prevents the stop."""
     try:
         text = "" if reason is None else str(reason)
     except Exception:

@@ -9,7 +9,7 @@ import time
 import weakref
 from typing import Any
 
-from surffollow.client.board import CLOSED
+from surffollow.client.latch_reader import CLOSED
 from surffollow.client.observer import Observer
 from surffollow.client.refusal import Refusal
 from surffollow.client.requests import Ticket

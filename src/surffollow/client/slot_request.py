@@ -11,7 +11,8 @@ import os
 import socket
 import time
 
-from surffollow.client.board import LAYOUT_HASH, Board
+from surffollow.client.board import Board
+from surffollow.client.start_wait import LAYOUT_HASH
 from surffollow.errors import BlockError, BusyError, NoPermissionError, NotReadyError
 from surffollow.shm import layout_board as lb
 from surffollow.shm import layout_slot as ls

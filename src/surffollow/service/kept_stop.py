@@ -12,7 +12,7 @@ import contextlib
 import os
 from typing import NamedTuple
 
-from surffollow.client.board import unpack_schema
+from surffollow.client.latch_reader import unpack_schema
 from surffollow.config.names import check_object_name
 from surffollow.config.stop_causes import stop_names
 from surffollow.config.trusted_users import own_user

@@ -11,7 +11,7 @@ import os
 import stat
 from typing import NamedTuple
 
-from surffollow.client.board import unpack_schema
+from surffollow.client.latch_reader import unpack_schema
 from surffollow.config.names import check_object_name
 from surffollow.errors import AlreadyRunningError, BlockError
 from surffollow.shm import layout_board as lb

@@ -4,9 +4,8 @@ import math
 
 from surffollow.shm.jit import jit
 
-MAX_MODEL_ERROR_M = (
-    5e-4  # of an axis model, or another controller leads the tool; of a height between reports
-)
+# of an axis model: beyond, another controller leads the robot; of a height between two reports
+MAX_MODEL_ERROR_M = 5e-4
 PERIOD_S = 0.01  # of the plan: one controller period
 AXIS_STEP_NS = 2_000_000  # of all axis models
 MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
