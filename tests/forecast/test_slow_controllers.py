@@ -14,15 +14,17 @@ import pytest
 from forecast.driving import MS, Kernel, default_params
 from surffollow.benchmark.job_loop import Job, follow
 from surffollow.forecast.plant.plant_identification import (
+    height_is_known,
     predict_pose,
     record_own_setpoint,
     reset_axes,
     setpoint_in_force,
+    update_plant,
 )
 from surffollow.forecast.pose import push_pose
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
-from surffollow.shm.layout_follow import MODE_ADAPTIVE, SenseState
+from surffollow.shm.layout_follow import MODE_ADAPTIVE, Inputs, SenseState
 
 TAU_S, STANDOFF_M = 0.1, 0.5
 ARM = Job(STANDOFF_M, TAU_S, 0.01, 0.1, 1.0, 10.0, 0.002 * STANDOFF_M, (0.15, 1.5))
@@ -142,3 +144,35 @@ def test_the_axis_model_leads_the_height_only_while_it_is_the_nearer_one(begins_
         reset_axes(params, a, 10**9 + 40 * MS, 0.101)
     predict_pose(params, a, sense, 10**9 + 60 * MS, pose)
     assert pose[2] == pytest.approx(0.1015 if begins_anew else 0.101, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("interval_ms", "age_ms", "error_m", "noise_m", "known"),
+    [
+        (40, 5, 2e-3, 1e-4, False),
+        (0, 5, 2e-3, 1e-4, False),  # a controller so slow that its interval is not known
+        (10, 5, 2e-3, 1e-4, True),  # a quick one: noise of the poses is no error of the prediction
+        (40, 0, 2e-3, 1e-4, True),  # at the report
+        (40, 5, 2e-3, 3e-3, True),  # within the noise of the ranges
+        (40, 5, 3e-4, 1e-4, True),  # predicted well
+    ],
+)
+def test_heights_between_the_reports_of_a_slow_controller_are_known_when_they_are_predicted_well(
+    interval_ms, age_ms, error_m, noise_m, known
+):
+    a, sense = zeros(AdaptiveState)[0], zeros(SenseState)[0]
+    push_pose(sense, 10**9, np.array([0.0, 0.0, 0.1, 0, 0, 0, 1.0]), 0)
+    a["plant"]["tau_s"], a["controller"]["interval_ns"] = 0.04, interval_ms * MS
+    a["plant"]["coast_scatter_m"] = error_m
+    a["noise"]["sigma_m"] = a["noise"]["range_sigma_m"] = noise_m
+    assert height_is_known(a, sense, 10**9 + age_ms * MS) == known
+
+
+def test_the_error_at_constant_velocity_is_learned_from_rare_reports():
+    """GIVEN reports 400 ms apart, too far for the axis models, THEN their prediction is scored all the same."""
+    params, a, sense = default_params()[0], zeros(AdaptiveState)[0], zeros(SenseState)[0]
+    for k in range(2):
+        push_pose(sense, 10**9 + 400 * k * MS, np.array([0.0, 0.0, 0.1 + 4e-3 * k, 0, 0, 0, 1.0]), 0)
+    a["plant"]["t_ns"], a["kinematics"]["coasted_m"] = 10**9, 0.1
+    update_plant(params, a, sense, zeros(Inputs)[0])
+    assert a["plant"]["coast_scatter_m"] == pytest.approx(4e-3)
