@@ -169,7 +169,7 @@ def test_heights_between_the_reports_of_a_slow_controller_are_known_when_they_ar
 
 
 def test_the_error_at_constant_velocity_is_learned_from_rare_reports():
-    """GIVEN reports 400 ms apart, too far for the axis models, THEN their prediction is scored all the same."""
+    """GIVEN reports 400 ms apart, too far for the axis models, THEN their prediction is scored, too."""
     params, a, sense = default_params()[0], zeros(AdaptiveState)[0], zeros(SenseState)[0]
     for k in range(2):
         push_pose(sense, 10**9 + 400 * k * MS, np.array([0.0, 0.0, 0.1 + 4e-3 * k, 0, 0, 0, 1.0]), 0)
