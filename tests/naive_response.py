@@ -158,13 +158,15 @@ class NaiveResponse:
         enough = motion_m > c.MOTION_BANDS * self.band_m
         quiet = self.is_quiet
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
-        steep = not rises and rate_mps * self.answer_s > r.STEEP * self.standoff_m
-        wait_s = self.answer_s
-        if steep:
-            wait_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s - self.tau_s
         if self.run_error_m() < max(self.band_m, m.LAG_TAUS * self.tau_s * rate_mps):
             self.proven_m = 0.0
         comes_back = self.proven_m > 0.0 and not rises and not repeats
+        few = self.number <= m.MIN_READINGS
+        steep = rate_mps * self.answer_s > r.STEEP * self.standoff_m and not rises
+        steep = steep or (comes_back and few)
+        wait_s = self.answer_s
+        if steep:
+            wait_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s - self.tau_s
         least_m = c.MOTION_BANDS * self.band_m
         if comes_back:
             taken_m = rate_mps * (wait_s + self.delay_s + self.tau_s)

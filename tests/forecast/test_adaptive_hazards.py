@@ -89,6 +89,13 @@ def test_a_sensor_that_is_blocked_just_behind_a_test_is_tested_again_at_once(see
     assert play(follower(), scenario).clearance_m > 0.1 * STANDOFF_M
 
 
+@pytest.mark.parametrize("seed", [930009, 930073])
+def test_a_slow_sensor_that_is_blocked_behind_a_test_does_not_lead_the_tool_to_the_ground(seed):
+    """GIVEN two samples in τ and a hold that was answered WHEN the range is then blocked THEN no contact."""
+    outcome = play(follower(), draw("blocked at the end of a fall", seed))
+    assert not outcome.contact
+
+
 @pytest.mark.parametrize("seed", [210212, 200027, 200061, 200042])
 def test_a_flank_counts_from_its_second_sample_on(seed):
     """Three samples per step up the flank, with its slope unknown, cost 7 to 10 mm; now 5.2 mm at most."""

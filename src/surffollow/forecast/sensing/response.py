@@ -105,14 +105,14 @@ def _update_run(params, adaptive, tool_z_m):
     sparse = number <= mean_range.MIN_READINGS  # the ground changes while an answer is awaited
     repeated = is_repeated(adaptive.repeats)
     sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
-    wait_s, means = answer_s(adaptive, MIN_MEANS), MIN_MEANS
-    steep = not rises and run.rate_mps * wait_s > STEEP * params.offset_m
-    if steep:  # the greater shift is answered sooner
-        wait_s, means = answer_s(adaptive, 1.0) - tau_s, 1.0
-    stop_s, least_m = adaptive.latency.delay_s + tau_s, MOTION_BANDS * band_m
     if run.mean_m < params.offset_m + max(band_m, mean_range.LAG_TAUS * tau_s * run.rate_mps):
         response.proven_m = 0.0
     returns = response.proven_m > 0.0 and not rises and not repeated
+    wait_s, means = answer_s(adaptive, MIN_MEANS), MIN_MEANS
+    steep = not rises and ((returns and sparse) or run.rate_mps * wait_s > STEEP * params.offset_m)
+    if steep:  # the greater shift is answered sooner
+        wait_s, means = answer_s(adaptive, 1.0) - tau_s, 1.0
+    stop_s, least_m = adaptive.latency.delay_s + tau_s, MOTION_BANDS * band_m
     if returns:
         least_m = max(least_m, constant_ranges.proven_descent_m(params, adaptive, wait_s + stop_s, sparse))
         sign = SIGN_FOR_SHIFT if descent > least_m else NO_SIGN
