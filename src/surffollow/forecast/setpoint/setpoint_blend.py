@@ -28,8 +28,8 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     to `max_slope` of the distance, plus 1 mm. Ground that is not seen may rise again where it fell: over the
     trail of a sensor, and over a share of the travel since the newest sample of a slow one, slopes and curves
     that fall count as level. Waves rise by themselves, but one that is steeper than the ground fits a long
-    fall by chance. The ground's slope is that of a model whatever its weight: waves that count as level get
-    none. This is not known of a slow sensor.
+    fall by chance. The ground's slope is that of one model, independent of its weight: waves that count as
+    level get none. This is not known of a slow sensor.
 
     Parameters
     ----------
