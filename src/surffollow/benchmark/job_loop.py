@@ -61,6 +61,7 @@ def follow(
     place_m: Callable[[float], float] | None = None,
     height_noise_m: float = 0.0,
     older_s: float = 0.0,
+    pose_older_s: float = 0.0,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
@@ -69,7 +70,7 @@ def follow(
     `live`: parameters that are set at a time [s]. `drift`: rate by which the sensor's clock is fast.
     `place_m`: place of the tool along its way at a time, in place of a constant speed.
     `height_noise_m`: standard deviation of the height in a pose [m].
-    `older_s`: by which timestamps of readings are set back [s].
+    `older_s`, `pose_older_s`: by which timestamps of readings and of poses are set back [s].
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
@@ -88,7 +89,7 @@ def follow(
             f.set_params(**live[1])
         if ms % pose_ms == 0:
             z_plain = z + (height_noise_m * float(rng.standard_normal()) if height_noise_m else 0.0)
-            f.pose(t_ns, (x, 0.0, z_plain, 0.0, 0.0, 0.0, 1.0))
+            f.pose(t_ns - round(1e9 * pose_older_s), (x, 0.0, z_plain, 0.0, 0.0, 0.0, 1.0))
         if ms % reading_ms == 0:
             r = z - ground + job.sigma_m * float(rng.standard_normal())
             r = misread(t, r, rng) if misread else r

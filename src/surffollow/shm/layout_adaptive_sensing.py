@@ -70,6 +70,7 @@ class Sample(Schema):
     heading_x = F64(unit="1", doc="unit vector of the way, by velocity; slow sensors: by footprints; 0: none")
     heading_y = F64(unit="1")
     spacing_m = F64(unit="m", doc="usual distance travelled between samples")
+    pose_count = I64(doc="pose reports at the newest sample behind a report with an unknown height")
 
 
 class Health(Schema):

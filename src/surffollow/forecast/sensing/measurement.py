@@ -49,10 +49,11 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     close = health.count_close(adaptive.health, range_m < params.too_close_m)
     if close or fold.close != 0:
         fold_back.watch_fold_back(params, fold, range_m, sensor_z)
-    # the error of heights behind a report is a copy of the tool's own motion: one sample counts
-    seen = adaptive.estimate.sample_ns >= sense.pose_t_ns[newest_pose(sense)]
-    if seen and not height_is_known(adaptive, sense, t):
-        return
+    # the error of heights behind a report is a copy of the tool's own motion: one sample counts per report
+    if not height_is_known(adaptive, sense, t):
+        if adaptive.sample.pose_count == sense.pose_count:
+            return
+        adaptive.sample.pose_count = sense.pose_count
     at_rest = kinematics.is_at_rest(adaptive.kinematics)
     if orients(params):
         x, y = pose[0], pose[1]
