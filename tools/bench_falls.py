@@ -14,6 +14,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from surffollow.benchmark.cell_runs import in_parallel
 from surffollow.benchmark.job_loop import Job, follow
 
 TAU_S, STANDOFF_M = 0.04, 0.1
+STEEPEST = 0.75  # of the axis' greatest speed: at more of it a tool that was held comes back late
 LEVEL_TAUS, SECONDS_TAUS, BEHIND_TAUS = 5.0, 80.0, 40.0  # before the fall, of a good sensor, behind the fall
 LEAST_P = 0.01  # of s₀: a P loop that errs by less is not to be beaten
 
@@ -48,8 +50,8 @@ def log_uniform(rng: np.random.Generator, least: float, most: float) -> float:
     return math.exp(rng.uniform(math.log(least), math.log(most)))
 
 
-def draw(seed: int) -> Fall:
-    """Draw a job, its fall and its fault."""
+def draw(seed: int, steepest: float) -> Fall:
+    """Draw a job, its fall, at a share of the axis' greatest speed at most, and its fault."""
     rng, unit_mps = np.random.default_rng([seed, 5]), STANDOFF_M / TAU_S
     reading_s = max(1e-3, round(1e3 * TAU_S * log_uniform(rng, 0.05, 1.5)) * 1e-3)
     pose_s = round(1e3 * TAU_S * rng.uniform(0.1, 0.5)) * 1e-3
@@ -57,7 +59,7 @@ def draw(seed: int) -> Fall:
     a_max = v_max / TAU_S / rng.uniform(0.25, 1.5)
     sigma_m, window_m = STANDOFF_M * log_uniform(rng, 0.001, 0.012), (0.3 * STANDOFF_M, 3.0 * STANDOFF_M)
     job = Job(STANDOFF_M, TAU_S, reading_s, pose_s, v_max, a_max, sigma_m, window_m)
-    rate, slope = min(unit_mps * log_uniform(rng, 0.03, 0.3), 0.75 * v_max), rng.uniform(0.1, 1.0)
+    rate, slope = min(unit_mps * log_uniform(rng, 0.03, 0.3), steepest * v_max), rng.uniform(0.1, 1.0)
     fault_s = TAU_S * rng.uniform(40.0, 50.0)
     end_s = fault_s + TAU_S * rng.uniform(0.0, 10.0) * int(rng.integers(0, 2))
     kind = int(rng.integers(0, 3))  # frozen, blocked near the stand-off, blocked farther from it
@@ -67,9 +69,9 @@ def draw(seed: int) -> Fall:
     )
 
 
-def run_faulty(seed: int) -> bool:
+def run_faulty(seed: int, steepest: float) -> bool:
     """Whether the tool touches the ground while the demand is VALID."""
-    fall, held = draw(seed), []
+    fall, held = draw(seed, steepest), []
 
     def misread(t_s: float, range_m: float, rng: np.random.Generator) -> float:
         if t_s < fall.fault_s:
@@ -84,9 +86,9 @@ def run_faulty(seed: int) -> bool:
     return bool(np.any((run.clearance_m <= 0.0) & np.array(valid)))
 
 
-def run_good(seed: int) -> tuple[float, float, float]:
+def run_good(seed: int, steepest: float) -> tuple[float, float, float]:
     """RMS of the follower and of a P loop, and the follower's greatest clearance [s₀]."""
-    fall, seconds = draw(seed), SECONDS_TAUS * TAU_S
+    fall, seconds = draw(seed, steepest), SECONDS_TAUS * TAU_S
     ours, plain = (
         follow(fall.job, fall.ground_m(False), seconds, fall.speed_mps, plain=plain, seed=seed)
         for plain in (False, True)
@@ -95,9 +97,9 @@ def run_good(seed: int) -> tuple[float, float, float]:
     return rms, rms_p, float(ours.clearance_m.max()) / STANDOFF_M
 
 
-def run(seed: int) -> tuple[int, bool, tuple[float, float, float]]:
+def run(seed: int, steepest: float = STEEPEST) -> tuple[int, bool, tuple[float, float, float]]:
     """Both runs of a seed."""
-    return seed, run_faulty(seed), run_good(seed)
+    return seed, run_faulty(seed, steepest), run_good(seed, steepest)
 
 
 def show_progress(done: int, total: int) -> None:
@@ -110,13 +112,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=400, help="seeds; each has a faulty and a good sensor")
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument(
+        "--steepest",
+        type=float,
+        default=STEEPEST,
+        metavar="SHARE",
+        help="greatest rate of a fall, of the axis' greatest speed (default: %(default)s)",
+    )
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(argv)
     if given.count < 1:
         parser.error(f"--count is {given.count}; expected at least 1")
     seeds = range(given.first, given.first + given.count)
-    found = list(in_parallel(run, seeds, given.processes, show_progress if sys.stderr.isatty() else None))
+    both, show = partial(run, steepest=given.steepest), show_progress if sys.stderr.isatty() else None
+    found = list(in_parallel(both, seeds, given.processes, show))
     contacts = sorted(seed for seed, touched, _ in found if touched)
     ours, plain, highest = np.array([good for *_, good in found]).T
     ratio = ours / np.maximum(plain, LEAST_P)
