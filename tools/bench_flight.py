@@ -4,8 +4,10 @@
 
 The log is the first half of the flight, 40 to 450 s. The follower keeps its defaults. The damped trend
 (Holt's exponential smoothing with a trend that decays, for uneven intervals) is tuned on this very log: for
-all horizons at once, and per horizon. Each figure is an RMS error over that of "no change", on the same pairs
-of rows.
+all horizons at once, and per horizon. So is a linear prediction: least squares on the changes of the range
+over the last 3 s and on its distance from a mean, per horizon. Its error on the log that it is fitted to is a
+limit for linear predictors of the range. Each figure is an RMS error over that of "no change", on the same
+pairs of rows.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ START_S, END_S = 40.0, 450.0
 COLUMNS = Path(__file__).resolve().parents[1] / "examples" / "columns" / "quad_flight.toml"
 LEVEL_S = (0.01, 0.03, 0.06, 0.12, 0.25, 0.5)  # time constants that are tried
 TREND_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+LAGS_S = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.4, 2.0, 3.0)  # inputs of the linear prediction
+MEAN_ROWS = 300
 DAMPING_S = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0, 20.0)
 
 Floats = NDArray[np.float64]
@@ -86,6 +90,26 @@ def trend_ratios(replay: CsvReplay, columns: Columns, tuning: Floats) -> Floats:
     return ratios
 
 
+def linear_ratios(replay: CsvReplay, columns: Columns) -> list[float]:
+    """RMS errors of a linear prediction fitted to the log itself over those of "no change", per horizon."""
+    has = np.isfinite(replay.log.range_m)
+    t, r = replay.log.elapsed_s()[has], replay.log.range_m[has]
+    past = np.array([np.interp(t - lag_s, t, r) for lag_s in LAGS_S]).T
+    sums = np.concatenate([[0.0], np.cumsum(r)])
+    begin = np.maximum(np.arange(r.size) - MEAN_ROWS, 0)
+    mean = (sums[1:] - sums[begin]) / (np.arange(r.size) + 1 - begin)
+    inputs = np.column_stack([past, mean]) - r[:, None]
+    numbered, ratios = np.full((has.size, len(columns.horizons_s)), np.nan), []
+    numbered[has] = np.arange(r.size)[:, None]
+    for k in range(len(columns.horizons_s)):
+        pairs = pair_forecasts(dataclasses.replace(replay, forecast_m=numbered), columns, k)
+        made = inputs[pairs.forecast_m.astype(int)]
+        change = pairs.truth_m - pairs.present_m
+        missed = change - made @ np.linalg.lstsq(made, change, rcond=None)[0]
+        ratios.append(float(np.sqrt(np.mean(missed**2) / np.mean(change**2))))
+    return ratios
+
+
 def measure(file: Path, columns_file: Path) -> list[dict[str, Any]]:
     """One row per horizon: errors of all predictors, and the tunings of the damped trend."""
     columns = load_columns(columns_file)
@@ -93,6 +117,7 @@ def measure(file: Path, columns_file: Path) -> list[dict[str, Any]]:
     tried = grid()
     ratios = trend_ratios(replay, columns, tried)
     once = int(np.argmin(np.log(ratios).sum(axis=1)))
+    linear = linear_ratios(replay, columns)
     rows: list[dict[str, Any]] = []
     for h, scored in enumerate(score_forecast(replay, columns)):
         own = int(np.argmin(ratios[:, h]))
@@ -102,6 +127,7 @@ def measure(file: Path, columns_file: Path) -> list[dict[str, Any]]:
                 "n": pair_forecasts(replay, columns, h).t_s.size,
                 "no_change_rms_m": scored["no_change_rms_m"],
                 "follower": scored["rms_m"] / scored["no_change_rms_m"],
+                "linear_fit": linear[h],
                 "holt": float(ratios[once, h]),
                 "holt_tuning_s": tried[once].tolist(),
                 "holt_per_horizon": float(ratios[own, h]),
@@ -131,7 +157,8 @@ def main() -> int:
             r["follower"],
             LIMITS[r["horizon_s"]],
             "",
-            f"damped trend {r['holt']:.3f}, tuned per horizon {r['holt_per_horizon']:.3f}; {r['n']} pairs",
+            f"damped trend {r['holt']:.3f}, per horizon {r['holt_per_horizon']:.3f};"
+            f" linear {r['linear_fit']:.3f}; {r['n']} pairs",
         )
         for r in rows
         if r["horizon_s"] in LIMITS

@@ -41,3 +41,4 @@ def test_on_the_flight_both_predict_better_than_no_change():
     for r in rows:
         assert r["holt_per_horizon"] <= r["holt"] < 1.0
         assert r["follower"] < 1.0
+        assert r["linear_fit"] < r["follower"] < 1.03 * r["linear_fit"]

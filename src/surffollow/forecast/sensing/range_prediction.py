@@ -1,10 +1,10 @@
 """Predict the range itself over time, for logs and for horizons far beyond the controller's.
 
 A damped trend (Gardner and McKenzie, 1985) for uneven intervals: level l and trend b, which decays with the
-time constant d. A distance that is controlled returns to its mean m, too, with the time constant r. The
+time constant d. A distance that is controlled returns to its mean m, too, with the same time constant. The
 forecast of a horizon h, with w = d · (1 − exp(−h/d)), is
 
-    l + b · w + g · (m − l) · (1 − exp(−(h − w)/r)),   0 ≤ g ≤ 1
+    l + b · w + g · (m − l) · (1 − exp(−(h − w)/d)),   0 ≤ g ≤ 1
 
 The gain g is learnt: what the trend alone missed is regressed upon the return that was forecast with it.
 Over a slope, where the range returns to no mean, it is 0.
@@ -18,22 +18,22 @@ from surffollow.shm.jit import jit, jit_inlined
 
 @jit
 def time_constants_s(prediction):
-    """Unit of all time constants, and those of the decay and of the return [s].
+    """Unit of all time constants; time constant of decay and return, and time until the gain is compared [s].
 
-    The unit is the usual interval; the noise of intervals shorter than 4 τ averages out. The time constants
-    and the horizon at which the gain is learnt are a compromise between halves of a flight's log that does
-    no harm to an echo sounder's.
+    The unit is the usual interval; the noise of intervals shorter than 3 τ averages out. The time constants
+    are a compromise between halves of a flight's log and of an echo sounder's. Longer ones of level and trend
+    have less noise, and more error on the flight.
     """
-    unit_s = max(prediction.interval_s, 0.16)
-    return unit_s, 10.0 * unit_s, 30.0 * unit_s
+    unit_s = max(prediction.interval_s, 0.12)
+    return unit_s, 15.0 * unit_s
 
 
 @jit
 def forecast_parts(prediction, horizon_s):
     """Range at a horizon by the trend alone, and the whole return from the level by then [m]."""
-    _, decay_s, return_s = time_constants_s(prediction)
+    _, decay_s = time_constants_s(prediction)
     lasts_s = decay_s * (1.0 - math.exp(-horizon_s / decay_s))  # integral of a damped unit rate
-    share = 1.0 - math.exp(-(horizon_s - lasts_s) / return_s)
+    share = 1.0 - math.exp(-(horizon_s - lasts_s) / decay_s)
     by_trend_m = prediction.level_m + prediction.trend_mps * lasts_s
     return by_trend_m, share * (prediction.mean_m - prediction.level_m)
 
@@ -70,19 +70,19 @@ def update_mean(prediction, dt):
     prediction : record of `Prediction` (updated)
     dt : float64  time since the range before [s]
     """
-    unit_s, _, _ = time_constants_s(prediction)
-    longest_s, check_s = 1000.0 * unit_s, 15.0 * unit_s  # a mean is over so long; a forecast is for then
+    unit_s, decay_s = time_constants_s(prediction)
+    longest_s = 1000.0 * unit_s  # a mean is over so long
     prediction.mean_s = min(prediction.mean_s + dt, longest_s)
     prediction.mean_m += (1.0 - math.exp(-dt / prediction.mean_s)) * (prediction.level_m - prediction.mean_m)
     if prediction.check_ns != 0:
         since_s = (prediction.t_ns - prediction.check_ns) * 1e-9
-        if since_s < check_s:
+        if since_s < decay_s:
             return
         weight, return_m = 1.0 - math.exp(-since_s / longest_s), prediction.return_m
         missed_m = prediction.level_m - prediction.by_trend_m
         prediction.missed_m2 += weight * (missed_m * return_m - prediction.missed_m2)
         prediction.return_m2 += weight * (return_m**2 - prediction.return_m2)
-    prediction.by_trend_m, prediction.return_m = forecast_parts(prediction, check_s)
+    prediction.by_trend_m, prediction.return_m = forecast_parts(prediction, decay_s)
     prediction.check_ns = prediction.t_ns
 
 
@@ -97,7 +97,7 @@ def update_prediction(params, prediction, t_ns, range_m):
         begin_mean(prediction, range_m)
         return
     prediction.interval_s = follow_usual(prediction.interval_s, dt)
-    unit_s, decay_s, return_s = time_constants_s(prediction)
+    unit_s, decay_s = time_constants_s(prediction)
     expected_m = predict_range(prediction, dt)
     innovation = range_m - expected_m
     outlier = abs(innovation) > params.gate_scales * prediction.scale_m > 0.0
@@ -107,11 +107,11 @@ def update_prediction(params, prediction, t_ns, range_m):
     prediction.rejected = 0
     prediction.scale_m = follow_usual(prediction.scale_m, 1.25 * abs(innovation))
     if not outlier:
-        expected_m += (1.0 - math.exp(-dt / (0.36 * unit_s))) * innovation
+        expected_m += (1.0 - math.exp(-dt / (0.45 * unit_s))) * innovation
     rate_mps = (expected_m - prediction.level_m) / dt
-    back_mps = return_gain(prediction) * (prediction.mean_m - prediction.level_m) / return_s
+    back_mps = return_gain(prediction) * (prediction.mean_m - prediction.level_m) / decay_s
     prediction.trend_mps = back_mps + math.exp(-dt / decay_s) * (prediction.trend_mps - back_mps)
-    prediction.trend_mps += (1.0 - math.exp(-dt / (2.4 * unit_s))) * (rate_mps - prediction.trend_mps)
+    prediction.trend_mps += (1.0 - math.exp(-dt / (2.5 * unit_s))) * (rate_mps - prediction.trend_mps)
     prediction.level_m, prediction.t_ns = range_m if outlier else expected_m, t_ns
     if outlier:
         begin_mean(prediction, range_m)
