@@ -58,8 +58,8 @@ class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
             self._check_sender()
             if self.host.startswith("127.") or self.host == "localhost":
                 raise ConfigError(
-                    f"host = {self.host!r} receives from no other machine, and sender is {self.sender!r}; leave "
-                    "host out, or give the address of this machine in the sensor's network"
+                    f"host = {self.host!r} receives from no other machine, and sender is {self.sender!r}; "
+                    "leave host out, or give the address of this machine in the sensor's network"
                 )
         if self.sequence is not None:
             reader_of(self.sequence, self.format.length, "sequence")
