@@ -226,8 +226,20 @@ def follow_command(name: str, service: str, resource: str, client: str, as_json:
 
 
 @arbiter_group.command("demo")
-@click.option("--seconds", type=Finite(min=12.0, max=120.0), default=20.0, show_default=True)
-@click.option("--combine", type=click.Choice(["priority", "sum"]), default="priority", show_default=True)
+@click.option(
+    "--seconds",
+    type=Finite(min=12.0, max=120.0),
+    default=20.0,
+    show_default=True,
+    help="Duration of the motion [s].",
+)
+@click.option(
+    "--combine",
+    type=click.Choice(["priority", "sum"]),
+    default="priority",
+    show_default=True,
+    help="One client commands the tool, or the sum of the commands does.",
+)
 @JSON
 def demo_command(seconds: float, combine: str, as_json: bool) -> None:
     """Follow a surface, see an obstacle, lift the tool over it, bring it back: five processes share a robot.
