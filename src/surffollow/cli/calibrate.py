@@ -69,7 +69,7 @@ def print_result(as_json: bool, found: dict[str, Any], text: str) -> None:
 )
 @click.option(
     "--indicated-unit",
-    help="Unit of the column indicated in PAIRS, where it is a distance.  [default: that of the driver, m or V]",
+    help="Unit of the column indicated in PAIRS, where it is a distance.  [default: the driver's, m or V]",
 )
 @click.option("--plot", type=click.Path(dir_okay=False), help="Draw table and residuals (extra plot).")
 @CHANNEL
