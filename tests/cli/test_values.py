@@ -75,8 +75,17 @@ def test_negative_coordinates_are_numbers_and_no_options(words: tuple[str, ...],
     assert "No such option" in CliRunner().invoke(cli, [*words, "0", "--nmae", "-0.5", "2", "1"]).output
 
 
-@pytest.mark.parametrize("words", [("demo", "--seed"), ("simulate", "--seed"), ("simulate", "--noise-seed")])
-def test_a_negative_seed_is_refused_with_its_bounds(words: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("demo", "--seed"),
+        ("simulate", "--seed"),
+        ("simulate", "--noise-seed"),
+        ("arbiter", "history", "--last"),
+        ("blocks", "watch", "a.b", "--count"),
+    ],
+)
+def test_a_negative_count_is_refused_with_its_bounds(words: tuple[str, ...]) -> None:
     done = CliRunner().invoke(cli, [*words, "-5"])
     assert done.exit_code == 2
     assert words[-1] in done.output

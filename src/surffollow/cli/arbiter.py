@@ -109,7 +109,13 @@ def _status_in(name: str, wait_s: float) -> dict[str, Any]:
 
 @arbiter_group.command("history")
 @click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
-@click.option("--last", default=50, show_default=True, help="Newest records to print at first.")
+@click.option(
+    "--last",
+    type=click.IntRange(0),
+    default=50,
+    show_default=True,
+    help="Number of newest records to print at first.",
+)
 @click.option("--follow", is_flag=True, help="Go on until Ctrl-C.")
 @click.option("--seconds", type=Finite(min=0.0), default=0.0, help="With --follow: end after that time.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
