@@ -35,6 +35,11 @@ def test_a_wrong_key_of_an_arbiter_is_named_with_its_table() -> None:
         parse_arbiter({"leas": "1 s"})
 
 
+def test_a_wrong_key_of_one_of_several_tables_names_their_parent() -> None:
+    with pytest.raises(ConfigError, match=r"'comand' of \[resources\.NAME\] is unknown.*'command'"):
+        parse_arbiter({"clients": {"a": 1}, "resources": {"robot": {"comand": ["a"]}}})
+
+
 def test_a_missing_key_of_a_driver_is_named() -> None:
     with pytest.raises(ConfigError, match=r"driver 'serial': key 'range_min_m' is missing"):
         make_driver({"kind": "serial", "port": "/dev/ttyX"}, "keys")

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import JSON, LENGTH
 from surffollow.cli.scan_options import EXISTING, OUT
 
@@ -155,10 +156,8 @@ def calibrate_command(
     if as_json:
         click.echo(json.dumps(facts))
         return
-    for key, value in facts.items():
-        if isinstance(value, dict):
-            value = ", ".join(f"{k} {'-' if v is None else f'{1e3 * v:.2f} mm'}" for k, v in value.items())
-        click.echo(f"{key:<17} {'-' if value is None else value}")
+    residuals = {k: "-" if v is None else f"{v:.3g}" for k, v in facts["held_out_rms_m"].items()}
+    print_facts(facts | {"held_out_rms_m": residuals}, False)
     if chosen.model == "none" and model == "auto":
         click.echo("surffollow: left-out spots confirm no correction; the matrix is zero", err=True)
 

@@ -40,7 +40,7 @@ def key_error_text(error: msgspec.ValidationError, kind: type[msgspec.Struct] | 
 
 
 def _of(path: str | None) -> str:
-    return f" of [{path}]" if path else ""
+    return f" of [{path.replace('[...]', '.NAME')}]" if path else ""
 
 
 def _hint(key: str, path: str | None, kind: type[msgspec.Struct] | None) -> str:
