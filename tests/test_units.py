@@ -90,7 +90,15 @@ def test_scales_are_each_others_inverse(number, unit):
 
 @pytest.mark.parametrize(
     ("t_ns", "text"),
-    [(0, "0 ns"), (850, "850 ns"), (12_340, "12.3 µs"), (4_560_000, "4.56 ms"), (1_200_000_000, "1.2 s")],
+    [
+        (0, "0 ns"),
+        (850, "850 ns"),
+        (12_340, "12.3 µs"),
+        (4_560_000, "4.56 ms"),
+        (999_999_000, "1 s"),
+        (1_200_000_000, "1.2 s"),
+        (86_100_000_000_000, "86100 s"),
+    ],
 )
 def test_durations_as_text(t_ns, text):
     assert format_ns(t_ns) == text

@@ -16,6 +16,7 @@ from reference_pages import c_page, cli_page
 from surffollow.arbiter.diagram import state_diagram, transition_table
 from surffollow.config.params import PARAMS
 from surffollow.shm.layout_follow import Params
+from surffollow.units import format_ns
 
 DOCS = Path(__file__).parents[1] / "docs" / "reference"
 
@@ -24,8 +25,9 @@ def parameters() -> str:
     """The parameters as a Markdown table."""
     lines = ["| parameter | default | from | to | unit | meaning |", "| --- | --- | --- | --- | --- | --- |"]
     for name, spec in PARAMS.items():
-        default = spec.choices[int(spec.default)] if spec.choices else f"{spec.default:g}"
-        low, high = (", ".join(spec.choices), "") if spec.choices else (f"{spec.low:g}", f"{spec.high:g}")
+        text = format_ns if spec.unit == "ns" else "{:g}".format
+        default = spec.choices[int(spec.default)] if spec.choices else text(spec.default)
+        low, high = (", ".join(spec.choices), "") if spec.choices else (text(spec.low), text(spec.high))
         unit = "" if spec.unit == "1" else spec.unit
         lines.append(f"| `{name}` | {default} | {low} | {high} | {unit} | {Params.field(name).doc} |")
     return "\n".join(lines) + "\n"

@@ -288,7 +288,7 @@ def format_ns(t_ns: float) -> str:
     Returns
     -------
     str
-        three digits and a unit
+        three digits and a unit; from 1000 s on whole seconds
 
     Examples
     --------
@@ -296,7 +296,8 @@ def format_ns(t_ns: float) -> str:
     >>> format_ns(850), format_ns(4_560_000)
     ('850 ns', '4.56 ms')
     """
-    for limit, scale, unit in ((1e3, 1.0, "ns"), (1e6, 1e3, "µs"), (1e9, 1e6, "ms")):
-        if abs(t_ns) < limit:
+    for scale, unit in ((1.0, "ns"), (1e3, "µs"), (1e6, "ms")):
+        if abs(t_ns) < 999.5 * scale:  # 999.5 has three digits as 1000
             return f"{t_ns / scale:.3g} {unit}"
-    return f"{t_ns / 1e9:.3g} s"
+    seconds = t_ns / 1e9
+    return f"{seconds:.3g} s" if abs(seconds) < 999.5 else f"{seconds:.0f} s"

@@ -103,14 +103,14 @@ def test_a_move_with_heights_downward_or_that_repeats_itself_is_refused() -> Non
         fit_latency(t, z(t, 4.0), t, z(t - 0.03, 4.0) + noise)
 
 
-def over_a_plate(tilt_x: float, tilt_y: float, n: int) -> tuple[np.ndarray, np.ndarray]:
+def over_a_plate(tilt_x: float, tilt_y: float, n: int, apart_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
     """Poses over a level plate, tilted at random; what a sensor at (10, 20, 0) mm reads."""
     from scipy.spatial.transform import Rotation
 
     rng = np.random.default_rng(3)
     tilts = np.column_stack([rng.uniform(-tilt_x, tilt_x, n), rng.uniform(-tilt_y, tilt_y, n), np.zeros(n)])
     turns = Rotation.from_euler("xyz", tilts)
-    t = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), rng.uniform(0.15, 0.25, n)])
+    t = np.column_stack([rng.uniform(-apart_m, apart_m, (n, 2)), rng.uniform(0.15, 0.25, n)])
     ranges = (-(t + turns.apply([0.01, 0.02, 0.0]))[:, 2]) / turns.apply(beam_of(0, 0))[:, 2]
     return np.hstack([t, turns.as_quat()]), ranges + rng.normal(0.0, 1e-4, n)
 
@@ -119,6 +119,16 @@ def over_a_plate(tilt_x: float, tilt_y: float, n: int) -> tuple[np.ndarray, np.n
 def test_moves_that_cannot_tell_the_mount_are_refused(tilt_x: float, tilt_y: float) -> None:
     with pytest.raises(ConfigError, match="do not determine"):
         fit_mount(*over_a_plate(tilt_x, tilt_y, 200))
+
+
+def test_moves_at_one_place_of_the_plate_are_refused_with_the_remedy() -> None:
+    def moves(apart_m: float) -> tuple[np.ndarray, ...]:  # tilts about one axis at a time
+        about_x, about_y = (over_a_plate(*tilts, 60, apart_m) for tilts in ((0.4, 0.0), (0.0, 0.4)))
+        return tuple(np.concatenate(both) for both in zip(about_x, about_y))
+
+    with pytest.raises(ConfigError, match=r"do not determine .* places of the plate some 0\.2 m apart"):
+        fit_mount(*moves(0.0))
+    assert fit_mount(*moves(0.1)).mount[:2] == pytest.approx((0.01, 0.02), abs=2e-3)
 
 
 def test_moves_far_from_the_origin_give_the_same_mount() -> None:

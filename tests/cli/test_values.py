@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from surffollow.cli.main import cli
+from surffollow.cli.status import follower_lines
 from surffollow.errors import FaultError
 
 
@@ -42,6 +43,26 @@ def test_numbers_out_of_bounds_are_refused_and_others_taken() -> None:
     assert "no service 'values-none'" in str(done.exception)
 
 
+@pytest.mark.parametrize(
+    "words", [("status",), ("map", "reset", "0", "0", "1", "1"), ("simulate", "--wait", "0")]
+)
+def test_a_service_that_does_not_run_is_named_with_the_command_that_starts_it(words: tuple[str, ...]) -> None:
+    done = CliRunner().invoke(cli, [*words, "--name", "values-none"])
+    assert str(done.exception) == (
+        "no service 'values-none' runs here; start it: surffollow start --name values-none"
+    )
+
+
+def test_estimates_are_not_shown_before_the_first_pose() -> None:
+    names = ("noise_m", "roughness_m", "sigma_m", "latency_s", "permitted_variance_m", "interval_size_m")
+    f = {"mode": "adaptive", "health": "DROPOUT", "reason": "no pose", "range_size": 1, "tau_s": 0.0}
+    f |= dict.fromkeys(names, 0.0)
+    assert follower_lines(f) == ["follower adaptive, DROPOUT (no pose)"]
+    first, second = follower_lines(f | {"tau_s": 0.04, "sigma_m": 0.002})
+    assert first.endswith("height σ 2 mm")
+    assert "axis τ 40 ms" in second
+
+
 @pytest.mark.parametrize("words", [("map", "reset"), ("map", "refocus", "FILE")])
 def test_negative_coordinates_are_numbers_and_no_options(words: tuple[str, ...], tmp_path: Path) -> None:
     file = tmp_path / "FILE"
@@ -54,8 +75,17 @@ def test_negative_coordinates_are_numbers_and_no_options(words: tuple[str, ...],
     assert "No such option" in CliRunner().invoke(cli, [*words, "0", "--nmae", "-0.5", "2", "1"]).output
 
 
-@pytest.mark.parametrize("words", [("demo", "--seed"), ("simulate", "--seed"), ("simulate", "--noise-seed")])
-def test_a_negative_seed_is_refused_with_its_bounds(words: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("demo", "--seed"),
+        ("simulate", "--seed"),
+        ("simulate", "--noise-seed"),
+        ("arbiter", "history", "--last"),
+        ("blocks", "watch", "a.b", "--count"),
+    ],
+)
+def test_a_negative_count_is_refused_with_its_bounds(words: tuple[str, ...]) -> None:
     done = CliRunner().invoke(cli, [*words, "-5"])
     assert done.exit_code == 2
     assert words[-1] in done.output

@@ -24,6 +24,7 @@ from surffollow.errors import (
     RefusedError,
     RegionError,
     RequestTimeoutError,
+    UsageError,
 )
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_adaptive import HEALTH_NAMES
@@ -41,6 +42,11 @@ def client(service: Service) -> Iterator[Client]:
 
 def scaled(norm: float) -> tuple[float, ...]:
     return (0.0, 0.0, 0.1, 0.5 * norm, 0.5 * norm, 0.5 * norm, 0.5 * norm)
+
+
+def test_a_channel_that_no_sensor_can_have_is_a_usage_error(client: Client) -> None:
+    with pytest.raises(UsageError, match="channel must be 0 to 7, not 9"):
+        client.raw_distance(9)
 
 
 @pytest.mark.parametrize("place", range(7))

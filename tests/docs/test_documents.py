@@ -88,7 +88,14 @@ def test_every_public_part_has_a_page_of_its_docstrings():
         assert f"<!-- api: surffollow{part} -->" in pages, part
 
 
-@pytest.mark.parametrize(("page", "said"), [("reference/sonar.md", "0.1658"), ("explanation/maps.md", "")])
+@pytest.mark.parametrize(
+    ("page", "said"),
+    [
+        ("reference/sonar.md", "0.1658"),
+        ("explanation/maps.md", ""),
+        ("how-to/embed-the-follower.md", "mm, health OK"),
+    ],
+)
 def test_the_example_of_a_page_runs(page, said, tmp_path):
     (code, *_) = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / page).read_text(), re.S | re.M)
     points = "import numpy as np\npoints = np.random.default_rng(1).random((100, 3))\n"

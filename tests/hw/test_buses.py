@@ -210,6 +210,24 @@ def test_another_address_of_this_machine_is_a_fault(monkeypatch: pytest.MonkeyPa
         driver.stop()
 
 
+@pytest.mark.parametrize(
+    ("sender", "host"), [("192.0.2.7", "0.0.0.0"), ("192.0.2.7:5700", "0.0.0.0"), ("any", "127.0.0.1")]
+)
+def test_without_a_host_a_sender_of_another_machine_is_received(sender: str, host: str) -> None:
+    driver = made({"kind": "udp", "port": 0, "sender": sender, "format": LINE_FORMAT, **WINDOW})
+    received = driver._source.bind()
+    with received.socket as opened:
+        assert opened.getsockname()[0] == host
+
+
+def test_a_host_that_receives_from_no_sender_is_refused() -> None:
+    loopback = {"kind": "udp", "port": 0, "host": "127.0.0.1", "sender": "192.0.2.7"}
+    with pytest.raises(
+        ConfigError, match=r"host = '127\.0\.0\.1' receives from no other machine.*leave host out"
+    ):
+        made({**loopback, "format": LINE_FORMAT, **WINDOW})
+
+
 def test_only_addresses_of_this_machine_are_its_own() -> None:
     assert is_own_address("127.0.0.1")
     assert not is_own_address("192.0.2.7")

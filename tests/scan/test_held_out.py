@@ -94,6 +94,9 @@ def test_calibrate_says_when_nothing_is_confirmed(tmp_path):
     done = CliRunner().invoke(scan_group, words)
     assert done.exit_code == 0, done.output
     assert "confirm no correction" in done.output
+    (residuals,) = (line for line in done.output.splitlines() if line.startswith("held_out_rms_m"))
+    assert "mm" not in residuals  # the key names metres
+    assert "none 0.000637" in residuals
     saved = json.loads((tmp_path / "arm.json").read_text())
     assert not np.any(saved["values_m"])
 

@@ -78,7 +78,7 @@ def test_the_status_at_ready_has_the_grants_of_the_cycles_thread(make_service: M
 
 
 def test_a_follower_without_poses_is_not_told_as_ok(own_service: Service) -> None:
-    assert "follower adaptive, DROPOUT (no pose within its time-out); " in own_service.run("status").stdout
+    assert "follower adaptive, DROPOUT (no pose within its time-out)\n" in own_service.run("status").stdout
 
 
 def test_a_second_service_of_the_same_name_is_refused_with_the_pid_of_the_first(service: Service) -> None:

@@ -105,8 +105,8 @@ def test_an_existing_object_is_never_taken_over(name):
         SharedObject.create(name, 4096, 0o600)
 
 
-def test_a_missing_object_says_how_to_start_the_service(name):
-    with pytest.raises(NotRunningError, match="surffollow start"):
+def test_a_missing_object_is_named_with_a_remedy(name):
+    with pytest.raises(NotRunningError, match=f"no shared-memory object {name!r}; start the program"):
         SharedObject.open(name)
     assert unlink(name) is False
 

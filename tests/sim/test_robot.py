@@ -262,6 +262,12 @@ def test_robot_configuration_out_of_range_is_refused(wrong: dict[str, Any]) -> N
         RobotConfig(**wrong)
 
 
+def test_a_speed_out_of_range_is_refused_with_its_unit() -> None:
+    says = r"speed_mps = 50 m/s, expected 0\.001 to 2 m/s; a number without a unit is in m/s"
+    with pytest.raises(ConfigError, match=says):
+        RobotConfig(speed_mps=50.0)
+
+
 def test_motion_equals_a_slow_twin() -> None:
     core, controller, _ = robot(sine_field(REGION), seconds=3.0, speed_mps=0.2, plant=PlantConfig(tau_s=0.02))
     points, ds = core.path.points, core.path.spacing_m

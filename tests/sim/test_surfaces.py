@@ -128,7 +128,7 @@ def test_made_fields_have_the_slopes_they_say() -> None:
     for bad in ((0, 0, 0, 1), (0, 0, 1, float("nan")), (0, 0, 1e6, 1e6)):
         with pytest.raises(RegionError):
             sf.flat_field(bad)
-    with pytest.raises(RegionError):
+    with pytest.raises(RegionError, match="choose a smaller one"):
         sf.shell_field((0, 0, 9, 1))
 
 

@@ -134,7 +134,10 @@ _NAMES = (
     ),
     *("the plate's slope in x", "the plate's slope in y", "the plate's height"),
 )
-_REMEDY = "tilt the tool by 15 deg and more about x and about y, both ways, at two heights or more"
+_REMEDY = (
+    "tilt the tool by 15 deg and more about x and about y, both ways, at two heights or more, and at places "
+    "of the plate some 0.2 m apart along x and y"
+)
 
 
 def _shortest_turn(beam: NDArray[np.float64]) -> tuple[float, float, float, float]:

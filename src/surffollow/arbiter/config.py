@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from surffollow.arbiter.layout import RESOURCES, VALUES
+from surffollow.config.key_errors import key_error_text
 from surffollow.config.names import check_name, check_service_name
 from surffollow.config.service import mode, seconds
 from surffollow.config.toml_file import read_toml
@@ -87,8 +88,9 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Arbiter
         config = msgspec.convert(data, ArbiterConfig)
         _check(config)
     except (msgspec.ValidationError, ConfigError, InvalidNameError) as e:
+        text = key_error_text(e, ArbiterConfig) if isinstance(e, msgspec.ValidationError) else e
         raise ConfigError(
-            f"{source}: {e}; see docs/reference/arbiter.md of the source distribution"
+            f"{source}: {text}; see docs/reference/arbiter.md of the source distribution"
         ) from None
     return config
 

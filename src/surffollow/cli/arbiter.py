@@ -109,7 +109,13 @@ def _status_in(name: str, wait_s: float) -> dict[str, Any]:
 
 @arbiter_group.command("history")
 @click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
-@click.option("--last", default=50, show_default=True, help="Newest records to print at first.")
+@click.option(
+    "--last",
+    type=click.IntRange(0),
+    default=50,
+    show_default=True,
+    help="Number of newest records to print at first.",
+)
 @click.option("--follow", is_flag=True, help="Go on until Ctrl-C.")
 @click.option("--seconds", type=Finite(min=0.0), default=0.0, help="With --follow: end after that time.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
@@ -226,8 +232,20 @@ def follow_command(name: str, service: str, resource: str, client: str, as_json:
 
 
 @arbiter_group.command("demo")
-@click.option("--seconds", type=Finite(min=12.0, max=120.0), default=20.0, show_default=True)
-@click.option("--combine", type=click.Choice(["priority", "sum"]), default="priority", show_default=True)
+@click.option(
+    "--seconds",
+    type=Finite(min=12.0, max=120.0),
+    default=20.0,
+    show_default=True,
+    help="Duration of the motion [s].",
+)
+@click.option(
+    "--combine",
+    type=click.Choice(["priority", "sum"]),
+    default="priority",
+    show_default=True,
+    help="One client commands the tool, or the sum of the commands does.",
+)
 @JSON
 def demo_command(seconds: float, combine: str, as_json: bool) -> None:
     """Follow a surface, see an obstacle, lift the tool over it, bring it back: five processes share a robot.

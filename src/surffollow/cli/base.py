@@ -19,8 +19,12 @@ EXPERIMENTS = ("paper", "1", "1-pair", "2")
 @click.option(
     "--name", type=SERVICE_NAME, default="cell", show_default=True, help="Arbiter, and prefix of blocks."
 )
-@click.option("--seconds", type=Finite(min=0.0), default=60.0, show_default=True, help="Of motion.")
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of range noise and slip.")
+@click.option(
+    "--seconds", type=Finite(min=0.0), default=60.0, show_default=True, help="Duration of the motion [s]."
+)
+@click.option(
+    "--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of range noise and slip."
+)
 @click.option(
     "--start",
     type=Finite(),
@@ -62,7 +66,13 @@ def base_command(
 @click.option(
     "--name", type=SERVICE_NAME, default="cell", show_default=True, help="Arbiter, and prefix of blocks."
 )
-@click.option("--experiment", type=click.Choice(EXPERIMENTS), default="2", show_default=True)
+@click.option(
+    "--experiment",
+    type=click.Choice(EXPERIMENTS),
+    default="2",
+    show_default=True,
+    help="Experiment, as in `wall-follow`.",
+)
 @JSON
 def base_client_command(client: str, name: str, experiment: str, as_json: bool) -> None:
     """Run one client of the wall-following experiments until the base ends."""
@@ -87,14 +97,28 @@ def seeds_of(ctx: click.Context, param: click.Parameter, value: str) -> range:
 
 
 @click.command("wall-follow")
-@click.option("--experiment", type=click.Choice(EXPERIMENTS), default="2", show_default=True)
-@click.option("--laps", type=click.IntRange(min=1), default=4, show_default=True)
-@click.option("--seeds", callback=seeds_of, default="1", show_default=True, help="A:B or one number.")
+@click.option(
+    "--experiment",
+    type=click.Choice(EXPERIMENTS),
+    default="2",
+    show_default=True,
+    help="Clients that share the base, see above.",
+)
+@click.option(
+    "--laps", type=click.IntRange(min=1), default=4, show_default=True, help="Laps in simulated time."
+)
+@click.option(
+    "--seeds", callback=seeds_of, default="1", show_default=True, help="Seeds, A:B without B, or one number."
+)
 @click.option(
     "--processes", is_flag=True, help="Real time: arbiter, base and clients as processes (one seed)."
 )
 @click.option(
-    "--seconds", type=Finite(min=1.0), default=90.0, show_default=True, help="Of motion with --processes."
+    "--seconds",
+    type=Finite(min=1.0),
+    default=90.0,
+    show_default=True,
+    help="Duration of the motion with --processes [s].",
 )
 @click.option("--plot", type=click.Path(dir_okay=False), help="Draw the first seed's run: PNG, SVG or PDF.")
 @JSON

@@ -67,10 +67,19 @@ def _flat(values: tuple[Any, ...]) -> list[Any]:
 @click.option("--plant", metavar="TOML", help="Plant, stand-off, [pose], [sensor] of your own.")
 @click.option("--speed", type=SPEED, multiple=True, help="Lateral speeds [m/s, or 100mm/s].")
 @click.option(
-    "--lead", type=LENGTH, multiple=True, help="Leads of the sensor [m, or 50mm]; never comparable."
+    "--lead",
+    type=LENGTH,
+    multiple=True,
+    help="Distances of the sensor ahead of the tool [m, or 50mm]. Results of different leads do not compare.",
 )
-@click.option("--seeds", type=Seeds(), default="0:20", show_default=True, help="Test seeds, half-open.")
-@click.option("--methods", help="Comma-separated rows; NAME=module:factory adds a follower.")
+@click.option(
+    "--seeds",
+    type=Seeds(),
+    default="0:20",
+    show_default=True,
+    help="Test seeds from A up to, but without, B.",
+)
+@click.option("--methods", help="Methods to run, comma-separated; NAME=module:factory adds a follower.")
 @click.option("--sweeps/--no-sweeps", default=None, help="Latency, noise, plant… (default: full table only).")
 @click.option(
     "--criteria",
@@ -80,7 +89,9 @@ def _flat(values: tuple[Any, ...]) -> list[Any]:
 @click.option("--bars", is_flag=True, hidden=True, help="The name of --criteria before this release.")
 @JSON
 @click.option("--out", "folder", metavar="DIR", help="Write results, table, plots; remember tunings.")
-@click.option("--processes", default=2, show_default=True, type=click.IntRange(1, 64))
+@click.option(
+    "--processes", default=2, show_default=True, type=click.IntRange(1, 64), help="Processes at a time."
+)
 @click.option("--list", "only_list", is_flag=True, help="List surfaces and methods, run nothing.")
 def benchmark_command(
     csvs: tuple[str, ...],

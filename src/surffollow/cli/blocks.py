@@ -127,7 +127,9 @@ def _every_option(default: float, text: str) -> Callable[[Any], Any]:
 @click.argument("block")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
 @_every_option(0.1, "Seconds between looks at the block.")
-@click.option("--count", default=0, help="End after that many publications [0: go on].")
+@click.option(
+    "--count", type=click.IntRange(0), default=0, help="End after that many publications [0: go on]."
+)
 @click.option("--seconds", type=Finite(min=0.0), default=0.0, help="End after that time [0: go on].")
 def watch_command(block: str, as_json: bool, every: float, count: int, seconds: float) -> None:
     """Print BLOCK's values whenever they changed, until Ctrl-C; follows its writer through restarts."""

@@ -19,7 +19,7 @@ OUT = click.option(
     help="Calibration file; what it holds of other kinds or channels stays.",
 )
 CHANNEL = click.option(
-    "--channel", type=click.IntRange(0, 7), default=0, show_default=True, help="Of the sensor."
+    "--channel", type=click.IntRange(0, 7), default=0, show_default=True, help="Channel of the sensor."
 )
 
 
@@ -64,10 +64,12 @@ def print_result(as_json: bool, found: dict[str, Any], text: str) -> None:
 @click.argument("pairs", type=FILE, required=False)
 @click.option("--name", type=SERVICE_NAME, help="Guided: read this service's sensor beside typed distances.")
 @click.option("--seconds", type=Finite(min=0.05), default=1.0, show_default=True, help="Guided: mean over.")
-@click.option("--unit", default="m", show_default=True, help="Of true in PAIRS, and of typed distances.")
+@click.option(
+    "--unit", default="m", show_default=True, help="Unit of the column true in PAIRS, and of typed distances."
+)
 @click.option(
     "--indicated-unit",
-    help="Of indicated in PAIRS, where it is a distance.  [default: as the driver gives it, m or V]",
+    help="Unit of the column indicated in PAIRS, where it is a distance.  [default: the driver's, m or V]",
 )
 @click.option("--plot", type=click.Path(dir_okay=False), help="Draw table and residuals (extra plot).")
 @CHANNEL

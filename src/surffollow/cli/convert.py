@@ -32,8 +32,9 @@ def convert_command(
 ) -> None:
     """Turn recordings into a table, or into channels for viewers; several FILEs in order become one.
 
-    Distances, heights and health come out of the same kernels as in the service, so recordings
-    of any age work. Of a damaged FILE the whole part is converted, and the rest is reported.
+    Distances, heights and health come out of the same kernels as in the service. A recording with
+    another layout of the cycle log is refused. Of a damaged FILE the whole part is converted, and the rest is
+    reported.
     """
     from dataclasses import asdict
 

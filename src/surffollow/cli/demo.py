@@ -17,21 +17,37 @@ def _speed(ctx: click.Context, param: click.Parameter, value: str | None) -> flo
 
 
 @click.command("demo")
-@click.option("--seconds", type=Finite(3.0, 3600.0), default=20.0, show_default=True, help="Of motion.")
+@click.option(
+    "--seconds", type=Finite(3.0, 3600.0), default=20.0, show_default=True, help="Duration of the motion [s]."
+)
 @click.option(
     "--sensors",
     type=click.IntRange(3, 8),
-    help="So many range sensors around the tool: it turns to the surface's normal, too.",
+    help="Number of range sensors around the tool, which then also turns to the surface normal.",
 )
-@click.option("--speed", callback=_speed, help="Along the path.  [default: 50 mm/s; with --sensors 100 mm/s]")
+@click.option(
+    "--speed", callback=_speed, help="Speed along the path.  [default: 50 mm/s; with --sensors 100 mm/s]"
+)
 @click.option("--surface", help="Ground to follow.  [default: fy91; with --sensors dome]")
-@click.option("--seed", type=click.IntRange(0), default=91, show_default=True, help="Of the ground.")
-@click.option("--path", type=click.Choice(["raster", "line"]), default="raster", show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=91, show_default=True, help="Seed of the ground.")
+@click.option(
+    "--path",
+    type=click.Choice(["raster", "line"]),
+    default="raster",
+    show_default=True,
+    help="Form of the path.",
+)
 @click.option("--offset", callback=LENGTH, default="0.1 m", show_default=True, help="Stand-off to keep.")
 @click.option(
     "--mode", type=click.Choice(["paper", "adaptive"]), help="Follower; default: the service's own."
 )
-@click.option("--picture", type=click.Path(dir_okay=False), default="surffollow-demo.png", show_default=True)
+@click.option(
+    "--picture",
+    type=click.Path(dir_okay=False),
+    default="surffollow-demo.png",
+    show_default=True,
+    help="Picture to draw (extra `plot`).",
+)
 @click.option(
     "--keep", type=click.Path(file_okay=False), help="Keep recording, trace and map in this folder."
 )

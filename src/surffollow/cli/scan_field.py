@@ -8,18 +8,29 @@ from typing import Any
 
 import click
 
+from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import JSON, LENGTH
 from surffollow.cli.scan_options import EXISTING, OUT
 
 
 @click.command("demo")
 @click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of ground, errors, noise."
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of ground, errors and noise."
 )
 @click.option(
-    "--seeds", type=click.IntRange(1), default=1, show_default=True, help="So many, one after another."
+    "--seeds",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="Number of seeds, run one after another.",
 )
-@click.option("--ground", type=click.Choice(["flat", "bumpy", "hump"]), default="bumpy", show_default=True)
+@click.option(
+    "--ground",
+    type=click.Choice(["flat", "bumpy", "hump"]),
+    default="bumpy",
+    show_default=True,
+    help="Form of the ground.",
+)
 @click.option(
     "--tables",
     is_flag=True,
@@ -95,13 +106,19 @@ def demo_command(
 @click.option("-o", "--output", required=True, type=OUT, help="Calibration file to write (.json).")
 @click.option("--map", "map_file", type=EXISTING, help="Map of the touched ground; SPOTS then holds x, y, z.")
 @click.option("--grid", type=LENGTH, default="10cm", show_default=True, help="Distance of the matrix' nodes.")
-@click.option("--outside", type=click.Choice(["nearest", "unknown"]), default="nearest", show_default=True)
+@click.option(
+    "--outside",
+    type=click.Choice(["nearest", "unknown"]),
+    default="nearest",
+    show_default=True,
+    help="Correction beyond the spots: that of the nearest one, or none.",
+)
 @click.option(
     "--model",
     type=click.Choice(["auto", "none", "constant", "plane", "triangles"]),
     default="auto",
     show_default=True,
-    help="Of the correction; auto: what left-out spots confirm.",
+    help="Model of the correction; auto: the one that left-out spots confirm.",
 )
 @JSON
 def calibrate_command(
@@ -139,10 +156,8 @@ def calibrate_command(
     if as_json:
         click.echo(json.dumps(facts))
         return
-    for key, value in facts.items():
-        if isinstance(value, dict):
-            value = ", ".join(f"{k} {'-' if v is None else f'{1e3 * v:.2f} mm'}" for k, v in value.items())
-        click.echo(f"{key:<17} {'-' if value is None else value}")
+    residuals = {k: "-" if v is None else f"{v:.3g}" for k, v in facts["held_out_rms_m"].items()}
+    print_facts(facts | {"held_out_rms_m": residuals}, False)
     if chosen.model == "none" and model == "auto":
         click.echo("surffollow: left-out spots confirm no correction; the matrix is zero", err=True)
 

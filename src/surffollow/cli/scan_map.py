@@ -26,12 +26,26 @@ MIN_CELLS = 3  # rows and columns of a map: fewer have no slope
     type=click.Choice(["cpf", "cpf-fast", "gaussian", "median", "none"]),
     default="cpf",
     show_default=True,
-    help="Of depth images.",
+    help="Filter of depth images; cpf: conditional planar filter.",
 )
-@click.option("--window", type=click.IntRange(3, 63), default=9, show_default=True, help="Pixels, odd.")
+@click.option(
+    "--window",
+    type=click.IntRange(3, 63),
+    default=9,
+    show_default=True,
+    help="Side of the filter's window [pixels], odd.",
+)
 @click.option("--fill", type=LENGTH, help="Widest hole that is filled.  [default: 10 cells]")
-@click.option("--support", type=LENGTH, default="10cm", show_default=True, help="Patches higher up float.")
-@click.option("--min-pixels", type=click.IntRange(1), default=50, show_default=True, help="Of a patch.")
+@click.option(
+    "--support",
+    type=LENGTH,
+    default="10cm",
+    show_default=True,
+    help="Patches higher above the ground beside them are dropped as floating.",
+)
+@click.option(
+    "--min-pixels", type=click.IntRange(1), default=50, show_default=True, help="Fewest pixels of a patch."
+)
 @click.option(
     "--border", type=click.IntRange(0, 64), default=0, show_default=True, help="Pixels left out beside jumps."
 )

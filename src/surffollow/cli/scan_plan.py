@@ -31,15 +31,27 @@ from surffollow.cli.scan_options import (
 @LIVE
 @click.option("-o", "--output", required=True, type=OUT, help="Path file to write (.csv).")
 @REGION
-@click.option("--gap", type=LENGTH, required=True, help="Scanning gap.")
+@click.option("--gap", type=LENGTH, required=True, help="Scanning gap between body and ground [m].")
 @click.option("--body", default="disc:0.1", show_default=True, help="disc:R, ring:R, rectangle:LxW or point.")
 @click.option("--swath", type=LENGTH, help="Distance of passes.  [default: the body's width across them]")
-@click.option("--scheme", type=click.Choice(["lanes", "arcs"]), default="lanes", show_default=True)
+@click.option(
+    "--scheme",
+    type=click.Choice(["lanes", "arcs"]),
+    default="lanes",
+    show_default=True,
+    help="Passes along straight lanes, or along arcs about the arm's base.",
+)
 @click.option("--angle", type=ANGLE, default="0deg", show_default=True, help="Direction of lanes.")
 @click.option("--base", type=Numbers(2, 3), help="x,y[,z] of the arm's base joint; arcs need it.")
 @click.option("--reach", type=Numbers(1, 2), help="[least,]most distance of the tip from the base.")
-@click.option("--speed", type=SPEED, default="0.5", show_default=True)
-@click.option("--acceleration", type=ACCELERATION, default="2.66", show_default=True)
+@click.option("--speed", type=SPEED, default="0.5", show_default=True, help="Greatest speed [m/s].")
+@click.option(
+    "--acceleration",
+    type=ACCELERATION,
+    default="2.66",
+    show_default=True,
+    help="Greatest acceleration along the path [m/s²].",
+)
 @click.option("--wrist", type=ANGLE, default="45deg", show_default=True, help="Limit of both wrist angles.")
 @click.option(
     "--following",
@@ -54,7 +66,9 @@ from surffollow.cli.scan_options import (
     default=0.0,
     help="Frequency [Hz] of the arm sideways, at which x and y are shaped (ZVD).  [default: not shaped]",
 )
-@click.option("--damping", type=Finite(0.0, 0.9), default=0.04, show_default=True, help="Of that mode.")
+@click.option(
+    "--damping", type=Finite(0.0, 0.9), default=0.04, show_default=True, help="Damping ratio of that mode."
+)
 @click.option("--fill", type=LENGTH, help="Fill holes of the map up to this width first.")
 @PICTURE
 @JSON

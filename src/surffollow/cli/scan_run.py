@@ -41,9 +41,17 @@ if TYPE_CHECKING:
     show_default=True,
     help="Frequency [Hz] of the arm up and down, at which demands are shaped; 0: not shaped.",
 )
-@click.option("--damping", type=Finite(0.0, 0.9), default=0.04, show_default=True, help="Of that mode.")
+@click.option(
+    "--damping", type=Finite(0.0, 0.9), default=0.04, show_default=True, help="Damping ratio of that mode."
+)
 @click.option("--stiff", is_flag=True, help="Simulate an arm without bending, sway and errors.")
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the reports' noise.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=1,
+    show_default=True,
+    help="Seed of the noise of the pose reports.",
+)
 @click.option("--ground", type=EXISTING, help="True ground of the simulation: figures of the real tip.")
 @click.option("--wait", "wait_s", type=Finite(0.0), default=10.0, help="Seconds to wait for the service.")
 @PICTURE

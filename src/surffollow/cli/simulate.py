@@ -43,13 +43,13 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     show_default=True,
     help="line, raster, or a CSV or NPZ file: x_m, y_m; t_s, z_m, qx qy qz qw, speed_mps, stop.",
 )
-@click.option("--speed", callback=SPEED, default="50 mm/s", show_default=True, help="Along the path.")
+@click.option("--speed", callback=SPEED, default="50 mm/s", show_default=True, help="Speed along the path.")
 @click.option(
     "--seconds",
     type=Finite(min=0.0),
     default=20.0,
     show_default=True,
-    help="Of motion; 0: to its end. The first 100 mm are not scored.",
+    help="Duration of the motion [s]; 0: to the end of the path. The first 100 mm are not scored.",
 )
 @click.option("--surface", default="fy91", show_default=True, help="Ground; the service needs the same.")
 @click.option(
@@ -57,7 +57,7 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     type=click.IntRange(0),
     default=91,
     show_default=True,
-    help="Of the ground; the service needs the same.",
+    help="Seed of the ground; the service needs the same.",
 )
 @click.option(
     "--grid", callback=LENGTH, default="1 mm", show_default=True, help="Spacing of the ground's heights."
@@ -74,12 +74,22 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     "--region", type=Finite(), nargs=4, default=None, help="x_min y_min x_max y_max of the path [m]."
 )
 @click.option("--lane", callback=LENGTH, default="20 mm", show_default=True, help="Distance of raster lanes.")
-@click.option("--standoff", callback=LENGTH, default="0.1 m", show_default=True, help="Desired distance.")
+@click.option("--standoff", callback=LENGTH, default="0.1 m", show_default=True, help="Desired stand-off.")
 @click.option("--plant", type=click.Path(dir_okay=False), help="TOML file with the vertical axis.")
-@click.option("--latency", callback=TIME, default="10 ms", show_default=True, help="Of pose reports.")
-@click.option("--sigma", callback=LENGTH, default="0.05 mm", show_default=True, help="Noise of pose reports.")
+@click.option(
+    "--latency", callback=TIME, default="10 ms", show_default=True, help="Delay of the pose reports."
+)
+@click.option(
+    "--sigma",
+    callback=LENGTH,
+    default="0.05 mm",
+    show_default=True,
+    help="Standard deviation of the noise of the pose reports.",
+)
 @click.option("--turn", is_flag=True, help="Apply rotations, too; count along the tool's axis.")
-@click.option("--noise-seed", type=click.IntRange(0), default=1, show_default=True, help="Of that noise.")
+@click.option(
+    "--noise-seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of that noise."
+)
 @click.option(
     "--wait",
     "wait_s",

@@ -136,9 +136,11 @@ def follower_lines(f: dict[str, Any]) -> list[str]:
         return "-" if f[name] is None else f"{1e3 * f[name]:.3g} mm"
 
     why = f" ({f['reason']})" if f.get("reason") else ""
+    if f["tau_s"] == 0.0:  # the follower had no pose yet: nothing is estimated
+        return [f"follower {f['mode']}, {f['health']}{why}"]
     return [
         f"follower {f['mode']}, {f['health']}{why}; noise {mm('noise_m')}, "
-        f"roughness {mm('roughness_m')}, height to {mm('sigma_m')}",
+        f"roughness {mm('roughness_m')}, height σ {mm('sigma_m')}",
         f"         latency {1e3 * f['latency_s']:.1f} ms, axis τ {1e3 * f['tau_s']:.0f} ms, "
         f"Permitted_Variance {mm('permitted_variance_m')}, "
         f"Range_Size {f['range_size']} × {mm('interval_size_m')}",

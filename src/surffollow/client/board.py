@@ -7,11 +7,10 @@ from typing import Any
 
 from surffollow.client.fence import fence
 from surffollow.client.latch_reader import CLOSED, CLOSED_TEXT, LatchReader, unpack_schema
-from surffollow.client.start_wait import LAYOUT_HASH, StartWait, is_known, start_text
+from surffollow.client.start_wait import LAYOUT_HASH, StartWait, is_known, open_board, start_text
 from surffollow.errors import BlockError, ClosedError, LayoutMismatchError, NotRunningError
 from surffollow.shm.latch_shape import HEAD_BYTES, SLOTS, stride
 from surffollow.shm.layout_board import BOARD_MAGIC, LAYOUT_VERSION, STATE_READY, BoardHeader
-from surffollow.shm.objects import SharedObject
 from surffollow.shm.process import is_running
 from surffollow.shm.schema import Schema
 
@@ -27,7 +26,7 @@ class Board:
     """
 
     def __init__(self, name: str, ready_timeout_s: float = 2.0, owners: Collection[int] = ()) -> None:
-        self.object = SharedObject.open(name, owners=owners)
+        self.object = open_board(name, owners)
         try:
             self._check(name, ready_timeout_s)
         except (BlockError, NotRunningError):

@@ -9,6 +9,7 @@ from typing import Any
 from surffollow.client.attachment import OUTPUT_STRIDE, Attachment
 from surffollow.client.demand import STALE, Demand
 from surffollow.client.fence import FENCED
+from surffollow.errors import UsageError
 from surffollow.shm.latch_shape import SLOTS
 from surffollow.shm.layout_follow import VALID, Output
 
@@ -147,11 +148,11 @@ class Observer(Attachment):
 
         Raises
         ------
-        ValueError
+        UsageError
             no such channel
         """
         if not 0 <= channel < 8:
-            raise ValueError(f"channel must be 0 to 7, not {channel}")
+            raise UsageError(f"channel must be 0 to 7, not {channel!r}")
         if self.dev_vector().status & STALE:
             return float("nan")
         values = self._snapshot(_RANGE.unpack_from, Output.offset("range_m"))

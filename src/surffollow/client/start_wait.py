@@ -7,7 +7,7 @@ from collections.abc import Collection
 from typing import Any
 
 from surffollow.client.latch_reader import LatchReader, unpack_schema
-from surffollow.errors import NotReadyError
+from surffollow.errors import NotReadyError, NotRunningError
 from surffollow.shm.board_regions import layout_hash
 from surffollow.shm.layout_board import BOARD_MAGIC, STATE_READY, BoardHeader, MainThreadState
 from surffollow.shm.objects import SharedObject
@@ -16,6 +16,22 @@ from surffollow.shm.process import is_running
 LAYOUT_HASH = layout_hash()
 COMPILE_TIMEOUT_S = 300.0  # a cold start takes a minute where others share the processors
 REPORT_EVERY_S = 2.0
+
+
+def open_board(name: str, owners: Collection[int] = ()) -> SharedObject:
+    """The shared object of a service's board.
+
+    Raises
+    ------
+    NotRunningError                 no service of that name has one
+    NoPermissionError, BlockError   as `SharedObject.open`
+    """
+    try:
+        return SharedObject.open(name, owners=owners)
+    except NotRunningError:
+        raise NotRunningError(
+            f"no service {name!r} runs here; start it: surffollow start --name {name}"
+        ) from None
 
 
 class StartWait:
@@ -103,7 +119,7 @@ def start_report(name: str, owners: Collection[int] = ()) -> dict[str, Any] | No
     NotRunningError, NoPermissionError
         from opening its board
     """
-    board = SharedObject.open(name, owners=owners)
+    board = open_board(name, owners)
     try:
         if board.size < BoardHeader.SIZE:
             return None

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from surffollow.config.driver_files import with_absolute_files
+from surffollow.config.key_errors import key_error_text
 from surffollow.config.limits import CHANGED_BY, check_within_limits, client_limits, range_user
 from surffollow.config.names import check_service_name
 from surffollow.config.params import PARAMS, check_param, names_given
@@ -141,7 +142,8 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Service
         config = msgspec.convert(data, ServiceConfig)
     except msgspec.ValidationError as e:
         raise ConfigError(
-            f"{source}: {e}; see docs/reference/configuration.md of the source distribution"
+            f"{source}: {key_error_text(e, ServiceConfig)}; see docs/reference/configuration.md of the "
+            "source distribution"
         ) from None
     with naming_source(source, ConfigError):
         _check(config)
@@ -159,8 +161,9 @@ def _check(c: ServiceConfig) -> None:
     )
     if watchdog_s < WATCHDOG_PERIODS * period_s:
         raise ConfigError(
-            f"configuration key watchdog is {c.watchdog!r}, less than {WATCHDOG_PERIODS} periods of "
-            f"{c.period!r}: a cycle in good order would count as stalled; set it to more"
+            f"configuration key watchdog is {watchdog_s:g} s, less than {WATCHDOG_PERIODS} periods of "
+            f"{period_s:g} s: a cycle in good order would count as stalled; set watchdog to "
+            "more, or period to less"
         )
     seconds(c.realtime.spin, "realtime.spin", 0.0, 0.01)
     if c.realtime.overrun not in ("skip", "catch-up"):

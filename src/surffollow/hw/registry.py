@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from surffollow.config.key_errors import key_error_text
 from surffollow.errors import ConfigError, SurffollowError
 from surffollow.hw.calibrated import calibrated
 from surffollow.hw.calibration import load_calibration
@@ -224,7 +225,7 @@ def make_driver(config: Mapping[str, Any], name: str) -> Driver:
         )
         driver = factory(settings, name)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"driver '{kind}': {error}") from error
+        raise ConfigError(f"driver '{kind}': {key_error_text(error)}") from error
     if order.faults:
         driver = FaultyDriver(driver, order.faults, order.fault_seed)
     return calibrated(driver, load_calibration(order.calibration)) if order.calibration else driver

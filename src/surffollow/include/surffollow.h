@@ -1875,7 +1875,8 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   return SF_OK;
 }
 
-/* Attach as a client that may send poses and requests. */
+/* Attach as a client that may send poses and requests; results as sf_attach_with. SF_ERR_NOT_READY: the service
+ * starts; call it again. */
 static inline int sf_attach(sf_client *c, const char *name) { return sf_attach_with(c, name, NULL); }
 
 /* sf_attach, trusting no service but that of user number `owner`. */

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from surffollow.config.key_errors import key_error_text
 from surffollow.config.toml_file import naming_source, read_toml
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity, unit_scale
@@ -122,7 +123,8 @@ def parse_columns(data: dict[str, Any], source: str = "column file") -> Columns:
         columns = msgspec.convert(data, Columns)
     except msgspec.ValidationError as e:
         raise UsageError(
-            f"{source}: {e}; see docs/reference/csv-logs.md of the source distribution for the keys"
+            f"{source}: {key_error_text(e, Columns)}; see docs/reference/csv-logs.md of the source "
+            "distribution"
         ) from None
     checks: list[tuple[str, Any, str]] = [
         ("time", columns.time, "s"),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surffollow.service import memory as m
 from surffollow.service.audit import AuditTrail
 from surffollow.service.conversion_watch import conversion_notes
+from surffollow.service.driver_log import DriverLog
 from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.housekeeping import Guard
 from surffollow.service.messages import Messages
@@ -62,6 +63,7 @@ class Heartbeat:
         self._mounts = mounts
         self._server, self._messages, self.guard = server, messages, Guard(messages.report)
         self._audit = AuditTrail(objects, ctx, server.table.named, messages.report)
+        self._driver_log = DriverLog(messages.report)
         self._published = zeros(lb.MainThreadState)
 
     def end(self) -> None:
@@ -79,6 +81,7 @@ class Heartbeat:
         clients, pose_slot = self._server.table, int(self._ctx[m.POSE_SLOT])
         sender = clients.holder_of(pose_slot)
         driver_faults = self._watch.faults()
+        self._driver_log.update(driver_faults, reported_ns)
         causes = STOP_DRIVER if driver_faults else 0
         store_release(self._ctx.ctypes.data + 8 * m.STOP_ASKED, causes)
         self.guard.run("the audit trail", self._audit.publish, None)

@@ -133,7 +133,7 @@ class SharedObject:
             raise
         except FileNotFoundError:
             raise NotRunningError(
-                f"no shared-memory object {name!r}; is the service running? (surffollow start --name ...)"
+                f"there is no shared-memory object {name!r}; start the program that makes it"
             ) from None
         except PermissionError:
             raise NoPermissionError(

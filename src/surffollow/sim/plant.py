@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import msgspec
 from numpy.typing import NDArray
 
+from surffollow.config.key_errors import key_error_text
 from surffollow.errors import ConfigError, UsageError
 from surffollow.shm.jit import jit
 from surffollow.units import parse_quantity
@@ -85,7 +86,7 @@ def from_table(table: dict[str, Any], kind: type[T], source: str) -> T:
     try:
         return msgspec.convert(values, kind)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{source}: {error}") from None
+        raise ConfigError(f"{source}: {key_error_text(error, kind)}") from None
 
 
 def read_tables(path: str | Path) -> dict[str, Any]:

@@ -13,6 +13,14 @@ from surffollow.sim.surfaces import HeightField, Region
 from surffollow.sim.world_surface import WorldConfig
 
 FOR_EVER_S = 86_400.0
+_UNITS = {
+    "mps": "m/s",
+    "mps2": "m/s²",
+    "m": "m",
+    "s": "s",
+    "seconds": "s",
+    "rad": "rad",
+}  # by the ending of a name
 
 APPROACH_M = 0.010  # the tool starts that much above the desired stand-off
 
@@ -79,7 +87,11 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise ConfigError(f"robot {name} = {value}, expected {low} to {high}")
+                unit = _UNITS[name.rpartition("_")[2]]
+                raise ConfigError(
+                    f"robot {name} = {value:g} {unit}, expected {low:g} to {high:g} {unit}; a number "
+                    f"without a unit is in {unit}"
+                )
 
     @property
     def unscored_s(self) -> float:

@@ -212,7 +212,11 @@ def shell_field(
     u = (x - 0.5 * (x[0] + x[-1])) / radius_x_m
     v = (y - 0.5 * (y[0] + y[-1])) / radius_y_m
     if max(abs(u).max(), abs(v).max()) > 0.7:
-        raise RegionError(f"region {region} reaches beyond 0.7 of the radii {radius_x_m}, {radius_y_m} m")
+        raise RegionError(
+            f"the ground {region} m is wider than 1.4 times the radii {radius_x_m:g} and {radius_y_m:g} m of "
+            "the surface, and too steep at its edge; choose a smaller one, like 0 0 1.2 1 (--field, "
+            "[driver.world] region)"
+        )
     drop_x = radius_x_m * (1.0 - np.sqrt(1.0 - u * u))
     drop_y = radius_y_m * (1.0 - np.sqrt(1.0 - v * v))
     return HeightField(-(drop_x[None, :] + drop_y[:, None]), region[0], region[1], grid_m)

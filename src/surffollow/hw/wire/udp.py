@@ -29,7 +29,8 @@ class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     port : to listen on
-    host : address to listen on; "0.0.0.0": every one
+    host : address to listen on; "0.0.0.0": every one. Default: "0.0.0.0" for the `sender` of another machine,
+        "127.0.0.1" for "any"
     sender : who is listened to: "address:port", "address" (every program there), or "any"; an address of
         another machine
     format : see `frame_format.Format`; a datagram holds whole frames or lines; a line may lack its terminator
@@ -39,7 +40,7 @@ class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
     """
 
     port: int
-    host: str = "127.0.0.1"
+    host: str = ""
     sender: str = ""
     format: Format = Format()
     sequence: Number | None = None
@@ -55,8 +56,18 @@ class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
             )
         if self.sender != ANY:
             self._check_sender()
+            if self.host.startswith("127.") or self.host == "localhost":
+                raise ConfigError(
+                    f"host = {self.host!r} receives from no other machine, and sender is {self.sender!r}; "
+                    "leave host out, or give the address of this machine in the sensor's network"
+                )
         if self.sequence is not None:
             reader_of(self.sequence, self.format.length, "sequence")
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Address and port to listen on."""
+        return self.host or ("127.0.0.1" if self.sender == ANY else "0.0.0.0"), self.port
 
     def _check_sender(self) -> None:
         host, colon, port = self.sender.partition(":")
@@ -93,7 +104,7 @@ class UdpSource(DatagramSource):
     """The socket; see `polled.Source`."""
 
     def __init__(self, config: UdpConfig, info: DriverInfo) -> None:
-        super().__init__(f"UDP port {config.host}:{config.port}", config, info)
+        super().__init__("UDP port {}:{}".format(*config.address), config, info)
         self.port = config.port  # the one that was given, where 0 was asked for
         self._config = config
 
@@ -104,7 +115,7 @@ class UdpSource(DatagramSource):
         if sender != ANY and is_own_address(host):
             raise DriverError(f"sender = {sender!r}: {host} {_OWN}")
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        bind_socket(opened, (self._config.host, self._config.port))
+        bind_socket(opened, self._config.address)
         self.port = opened.getsockname()[1]
         return _Received(opened, sender)
 

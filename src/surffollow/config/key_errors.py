@@ -1,0 +1,63 @@
+"""Word msgspec's errors by the keys and tables of a TOML file."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import typing
+
+import msgspec
+
+_AT = r"(?: - at `\$\.?(?P<path>[^`]*)`)?$"
+_UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>[^`]*)`" + _AT)
+_MISSING = re.compile(r"Object missing required field `(?P<key>[^`]*)`" + _AT)
+_OTHER = re.compile(r"(?P<text>Expected .*) - at `\$\.?(?P<path>[^`]+)`$")
+
+
+def key_error_text(error: msgspec.ValidationError, kind: type[msgspec.Struct] | None = None) -> str:
+    """The error in the terms of a TOML file, with the keys to choose from.
+
+    Parameters
+    ----------
+    error : of `msgspec.convert`
+    kind : the structure that was converted to; None: without its keys
+
+    Returns
+    -------
+    str
+        such as "key 'grid' of [map] is unknown; did you mean 'grids'?"
+    """
+    text = str(error)
+    if found := _UNKNOWN.match(text):
+        return (
+            f"key {found['key']!r}{_of(found['path'])} is unknown{_hint(found['key'], found['path'], kind)}"
+        )
+    if found := _MISSING.match(text):
+        return f"key {found['key']!r}{_of(found['path'])} is missing"
+    if found := _OTHER.match(text):
+        return f"key {found['path']}: {found['text'][0].lower()}{found['text'][1:].replace('`', '')}"
+    return text
+
+
+def _of(path: str | None) -> str:
+    return f" of [{path.replace('[...]', '.NAME')}]" if path else ""
+
+
+def _hint(key: str, path: str | None, kind: type[msgspec.Struct] | None) -> str:
+    table = _table(kind, re.findall(r"\w+", path or ""))
+    if table is None:
+        return ""
+    keys = [field.encode_name for field in msgspec.structs.fields(table)]
+    near = difflib.get_close_matches(key, keys, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; the keys are {', '.join(keys)}"
+
+
+def _table(kind: type[msgspec.Struct] | None, names: list[str]) -> type[msgspec.Struct] | None:
+    """The structure at a path of keys; None where it leads through a dictionary or list."""
+    for name in names:
+        field = (
+            next((f for f in msgspec.structs.fields(kind) if f.encode_name == name), None) if kind else None
+        )
+        options = (field.type, *typing.get_args(field.type)) if field else ()
+        kind = next((t for t in options if isinstance(t, type) and issubclass(t, msgspec.Struct)), None)
+    return kind

@@ -1,0 +1,50 @@
+"""Wrong keys of a TOML file: the errors name table, key and the nearest keys."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from surffollow.arbiter.config import parse_config as parse_arbiter
+from surffollow.config.service import parse_config
+from surffollow.errors import ConfigError
+from surffollow.hw.registry import make_driver
+from surffollow.sim.plant import PlantConfig, from_table
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        ({"drivr": {}}, "key 'drivr' is unknown; did you mean 'driver'?"),
+        ({"map": {"grid": 5}}, "key 'grid' of [map] is unknown; did you mean 'grids'?"),
+        ({"stop": {"zzz": 5}}, "key 'zzz' of [stop] is unknown; the keys are on"),
+        ({"map": {"grids": "many"}}, "key map.grids: expected int, got str"),
+        ({"period": [1]}, "key period: expected "),
+        ({"period": 1}, "watchdog is 1 s, less than 5 periods of 1 s"),
+    ],
+)
+def test_a_wrong_key_of_a_service_is_named_with_its_table(data: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(data, "surf.toml")
+    assert f"surf.toml: {text}" in str(caught.value).replace("configuration key watchdog", "watchdog")
+
+
+def test_a_wrong_key_of_an_arbiter_is_named_with_its_table() -> None:
+    with pytest.raises(ConfigError, match=r"key 'leas' is unknown; did you mean 'lease'\?"):
+        parse_arbiter({"leas": "1 s"})
+
+
+def test_a_wrong_key_of_one_of_several_tables_names_their_parent() -> None:
+    with pytest.raises(ConfigError, match=r"'comand' of \[resources\.NAME\] is unknown.*'command'"):
+        parse_arbiter({"clients": {"a": 1}, "resources": {"robot": {"comand": ["a"]}}})
+
+
+def test_a_missing_key_of_a_driver_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"driver 'serial': key 'range_min_m' is missing"):
+        make_driver({"kind": "serial", "port": "/dev/ttyX"}, "keys")
+
+
+def test_a_wrong_type_in_a_plant_names_the_key() -> None:
+    with pytest.raises(ConfigError, match=r"plant: key tau_s: expected float, got array"):
+        from_table({"tau_s": []}, PlantConfig, "plant")
