@@ -37,6 +37,21 @@ def test_valid_ends_before_ground_that_is_known_to_rise_has_come_near(job, slope
     assert len(ends) == 1, "without a reading it does not become valid again"
 
 
+@pytest.mark.parametrize("rate", [0.015, 0.04])
+@pytest.mark.parametrize("job", [CELL, BOOM], ids=["cell", "boom"])
+def test_valid_ends_before_ground_that_rises_under_a_resting_tool_has_come_near(job, rate):
+    """GIVEN ground that rises by `rate` stand-offs in τ under a tool at rest WHEN the sensor falls silent.
+
+    The demand was VALID until the ground had touched the tool.
+    """
+    rises_mps = rate * job.standoff_m / job.tau_s
+    run = follow(job, lambda x, t: rises_mps * t, 160.0 * job.tau_s, misread=silent_from(80.0 * job.tau_s))
+    valid = np.array(["VALID" in s["status"] for s in run.states])
+    print(f"least clearance while VALID {run.clearance_m[valid].min() / job.standoff_m:.2f} stand-offs")
+    assert run.clearance_m[valid].min() > 0.5 * job.standoff_m
+    assert not valid[-1]
+
+
 def test_valid_goes_on_in_silence_over_level_ground():
     run = follow(CELL, lambda x, t: 0.0, 4.0, 0.2, misread=silent_from(2.0))
     assert "VALID" in run.states[-1]["status"]

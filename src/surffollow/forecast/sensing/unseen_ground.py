@@ -3,6 +3,7 @@
 import math
 
 from surffollow.forecast.estimation.innovation_gate import is_slow
+from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
@@ -17,7 +18,7 @@ def rise_rate(adaptive):
     slope = max(math.sqrt(estimate.slope_power), estimate.slope)
     if response.phase != RESPONSE_RUN:
         slope = max(slope, adaptive.run.slope)
-    return slope * adaptive.kinematics.speed_mps
+    return slope * path_speed(adaptive.kinematics)
 
 
 @jit
