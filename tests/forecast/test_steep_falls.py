@@ -12,7 +12,7 @@ from surffollow import Follower
 from surffollow.benchmark.job_loop import Job, follow
 from surffollow.forecast.sensing.response import observe_response
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive import REASON_NAMES, REASON_TESTED, AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_HOLD, RESPONSE_RUN
 
 from .driving import default_params
@@ -51,6 +51,15 @@ def test_a_tool_near_the_greatest_speed_of_its_axis_is_not_tested_away_from_the_
     print(f"RMS {run.rms_m(job) / job.standoff_m:.3f} stand-offs")
     assert run.rms_m(job) < 0.25 * job.standoff_m
     assert run.clearance_m.max() < 1.5 * job.standoff_m
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2])
+def test_the_state_says_when_a_test_raises_the_tool(slope):
+    """GIVEN a fall, where a good sensor is tested, THEN the reason says so; on level ground none does."""
+    job = Job(0.1, 0.04, 0.006, 0.004, 0.125, 3.125, 0.001, (0.03, 0.3))
+    states = follow(job, fall(slope, 0.4), 100 * job.tau_s, 0.5).states
+    healthy = {s["reason"] for s in states if s["health"] == "OK"}
+    assert healthy == {"", REASON_NAMES[REASON_TESTED]} if slope > 0.0 else healthy == {""}
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -549,7 +549,7 @@ typedef struct sf_output {
   int64_t beams; /* adaptive, 3 or more sensors: bit per channel that agrees with the plane */
   int64_t stop; /* causes of the latched stop, bits of STOP_NAMES; 0: not stopped */
   int64_t stop_now; /* causes that this cycle saw, whether the configuration names them or not */
-  int64_t reason; /* why `health` is not OK: number of REASON_NAMES, from bit 8 on a bit per channel; 0: it is */
+  int64_t reason; /* why `health` is not OK, or the range is tested: number of REASON_NAMES, from bit 8 channels */
 } sf_output;
 SF_STATIC_ASSERT(sizeof(sf_output) == 608, "layout of sf_output");
 SF_STATIC_ASSERT(offsetof(sf_output, t_ns) == 0, "layout of sf_output");

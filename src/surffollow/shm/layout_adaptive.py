@@ -196,7 +196,7 @@ class AdaptiveState(Schema):
     attitude = Nested(Attitude)
 
 
-# why the health is not OK, in the order of HEALTH_NAMES' severity
+# why the health is not OK, or, the last one, why a healthy follower does not go to the stand-off
 REASON_NAMES = (
     "",
     "no pose within its time-out",
@@ -215,6 +215,7 @@ REASON_NAMES = (
     "range repeats the ones before although the tool moves; it is not used",
     "some sensors disagree with the others and are left out",
     "range stays too long while the tool descends steeply: it may not see the ground",
+    "the range is tested: the tool is held or raised until it responds",
 )
 (
     REASON_NONE,
@@ -234,7 +235,8 @@ REASON_NAMES = (
     REASON_REPEATED,
     REASON_LEFT_OUT,
     REASON_DESCENT,
-) = range(17)
+    REASON_TESTED,
+) = range(18)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

@@ -77,7 +77,7 @@ class Health(Schema):
     """Health of the ranging (`health`)."""
 
     state = I64(doc="see HEALTH_NAMES")
-    reason = I64(doc="why the state is not OK: number of REASON_NAMES, from bit 8 on a bit per channel")
+    reason = I64(doc="why it is so: number of REASON_NAMES, from bit 8 on a bit per channel")
     since_ns = I64(unit="ns", doc="since when the candidate differs from the state")
     candidate = I64(doc="state without hysteresis")
     faults = I64(doc="bits of FAULT_NAMES, latched until the reset")

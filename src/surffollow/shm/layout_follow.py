@@ -248,7 +248,7 @@ class Output(Schema):
     stop = I64(doc="causes of the latched stop, bits of STOP_NAMES; 0: not stopped")
     stop_now = I64(doc="causes that this cycle saw, whether the configuration names them or not")
     reason = I64(
-        doc="why `health` is not OK: number of REASON_NAMES, from bit 8 on a bit per channel; 0: it is"
+        doc="why `health` is not OK, or the range is tested: number of REASON_NAMES, from bit 8 channels"
     )
 
 

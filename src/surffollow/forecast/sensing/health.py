@@ -6,7 +6,7 @@ from surffollow.forecast.quantities import follow_interval, tolerated_gap_s
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
-from surffollow.forecast.sensing.response import is_unresponsive
+from surffollow.forecast.sensing.response import is_unresponsive, moves_tool
 from surffollow.forecast.sensing.unseen_ground import uncertain_clearance
 from surffollow.shm import layout_adaptive as layout
 from surffollow.shm.jit import jit, jit_inlined
@@ -151,7 +151,7 @@ def present_health(params, adaptive, stuck, lost, silent, left_out):
     ):
         if found:
             return layout.SUSPECT, reason
-    return layout.OK, layout.REASON_NONE
+    return layout.OK, layout.REASON_TESTED if moves_tool(adaptive.response) else layout.REASON_NONE
 
 
 @jit_inlined

@@ -284,6 +284,12 @@ def is_unresponsive(response):
 
 
 @jit
+def moves_tool(response):
+    """Whether a test holds, lifts or shifts the tool."""
+    return response.phase != RESPONSE_RUN or response.lift_m > 0.0
+
+
+@jit
 def reset_response(response):
     """Begin anew with the next sample."""
     response.t_ns, response.phase = 0, RESPONSE_RUN
