@@ -39,6 +39,7 @@ class NaiveResponse:
     usual_repeats: float = 0.0
     spread_m: float = 0.0
     usual_m: float = 0.0
+    usual_error_m: float = 0.0
     mean_m: float = 0.0
     repeated_m: float = 0.0
     rose: bool = False
@@ -104,6 +105,8 @@ class NaiveResponse:
         )
         if not self.is_quiet:
             self.usual_m += SLOW_RATE * (min(self.spread_m, self.sigma_m) - self.usual_m)
+        if not tests and not begins:
+            self.usual_error_m += SLOW_RATE * (abs(self.mean_m - self.standoff_m) - self.usual_error_m)
         self.in_run += 1
         if self.swing_m == 0.0 and self.number < self.in_run < m.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
@@ -154,7 +157,8 @@ class NaiveResponse:
         slow_s = self.interval_s if self.number <= m.MIN_READINGS else 0.0
         no_lag = error_m > m.LAG_TAUS * (self.tau_s + slow_s) * rate_mps
         work = error_m * motion_m / (self.band_m * self.standoff_m)
-        wrong = error_m > self.band_m and no_lag and work > m.ERROR_MOTION
+        unusual = error_m > c.USUAL_ERRORS * self.usual_error_m
+        wrong = unusual and error_m > self.band_m and no_lag and work > m.ERROR_MOTION
         enough = motion_m > c.MOTION_BANDS * self.band_m
         quiet = self.is_quiet
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)

@@ -101,6 +101,7 @@ class ConstantRanges(Schema):
     """Run of constant ranges under a tool that moves (`constant_ranges`)."""
 
     mean_m = F64(unit="m", doc="running mean of the range")
+    error_m = F64(unit="m", doc="usual distance of the mean from the stand-off, outside tests")
     spread_m = F64(unit="m", doc="mean deviation of the ranges from it")
     usual_m = F64(unit="m", doc="the usual one")
     range_m = F64(unit="m", doc="mean range of the run of constant ranges")

@@ -13,6 +13,7 @@ from surffollow.forecast.sensing.repeated_ranges import is_repeated
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import (
     NO_SIGN,
+    RESPONSE_RUN,
     ROTATION_FAILED,
     SIGN_FOR_HOLD,
     SIGN_FOR_SHIFT,
@@ -23,6 +24,7 @@ SHIFT_ERROR_MOTION = mean_range.ERROR_MOTION / 6.0  # from which the setpoint is
 SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off
 MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
+USUAL_ERRORS = 3.0  # errors up to so many usual ones, as over ground that accelerates, are no sign of a fault
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 
 
@@ -37,7 +39,7 @@ def begin_run(params, adaptive, tool_z_m, range_m):
 
 @jit
 def update_mean(adaptive, range_m, sigma_m, most_m):
-    """Update the running mean, its spread, and the mean of the run.
+    """Update the running mean, its spread, the mean of the run, and the usual error outside tests.
 
     Parameters
     ----------
@@ -53,6 +55,9 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
     run.spread_m += (noise_m - run.spread_m) / (2.0 * MIN_MEANS * number)
     if not is_quiet(run):  # noise far below the usual one is not learned
         run.usual_m += SLOW_RATE * (min(run.spread_m, sigma_m) - run.usual_m)
+    tests = adaptive.response.phase != RESPONSE_RUN or adaptive.response.lift_m > 0.0
+    if not tests and run.standoff_m > 0.0:  # not before the first run
+        run.error_m += SLOW_RATE * (abs(run.mean_m - run.standoff_m) - run.error_m)
     run.samples += 1
     # its own mean is the better known one, but in the test of a descent the middle of a spread is
     if adaptive.response.swing_m == 0.0 and number < run.samples < mean_range.RUN_SAMPLES:
@@ -109,6 +114,7 @@ def sign_of_fault(adaptive, motion_m):
     below = abs(adaptive.sample.lead_m) < APART_M
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
     wrong = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
+    wrong = wrong and error_m > USUAL_ERRORS * run.error_m
     if motion_m <= MOTION_BANDS * band_m:  # it hides in the noise
         return NO_SIGN
     if wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED:
