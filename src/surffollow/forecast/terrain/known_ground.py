@@ -6,6 +6,7 @@ cycle. Where known ground lies below what channel 0 measures, preview would pull
 
 import math
 
+from surffollow.forecast.plant.axis_model import is_long
 from surffollow.forecast.quantities import APART_M, SLOW_RATE
 from surffollow.forecast.terrain.terrain_buffer import CELL_M, buffered_height, sensor_leads
 from surffollow.shm.jit import jit
@@ -108,8 +109,8 @@ def lowest_plan(adaptive, sensed_m):
 
     It may descend by as much as a confirmed drop where two samples can contradict it in time.
     """
-    in_time = 2.0 * adaptive.prediction.interval_s < 0.5 * adaptive.plant.tau_s
-    return sensed_m - MAX_UNCONFIRMED_DESCENT_M - (adaptive.known.descent_m if in_time else 0.0)
+    late = is_long(2.0 * adaptive.prediction.interval_s, adaptive.plant.tau_s)
+    return sensed_m - MAX_UNCONFIRMED_DESCENT_M - (0.0 if late else adaptive.known.descent_m)
 
 
 @jit
