@@ -118,8 +118,8 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
     # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre
     max_slope = slope_limit(estimate.slope_power)
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
-    # a fall that samples have followed for 150 ms, or over this travel, is no slot
-    recent = estimate.accepted_ns - gate.step_ns < 150_000_000
+    # a fall that samples have followed for so long, or over this travel, is no slot
+    recent = estimate.accepted_ns - gate.step_ns < quantities.PAUSE_NS
     if dropout > 0.0 and gate.step_m < 0.0 and recent and gate.travel_since_step_m < params.step_travel_m:
         z -= gate.step_m
     if dropout > 0.0 and estimate.samples > 1:
