@@ -6,8 +6,8 @@ MAX_GAP_NS = 50_000_000  # longer without a sample or report: a drop-out; nothin
 MISSING_NS = MAX_GAP_NS // 2  # a single missing sample is no drop-out; older footprints are of another plane
 # longer without a call or a sample is a pause; window of velocities; a fault is over; a hollow is no slot
 PAUSE_NS = 100_000_000
-# so far apart: reports of two motions, timestamps of two clocks, heights of two passes; a sensor ahead is
-# silent
+# so far apart: reports of two motions, timestamps of two clocks, heights of two passes; a fault stays; a
+# sensor ahead is silent
 LONG_GAP_NS = 1_000_000_000
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
 # in a row are no chance: at a start, near the fold-back, with a timestamp that goes back

@@ -13,8 +13,6 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
-LEFT_OUT_NS = 500_000_000  # a beam of a plane that is not used for so long: an edge leaves out one for less
-
 
 @jit
 def missing_s(adaptive, since_ns, least_ns=quantities.MAX_GAP_NS):
@@ -80,12 +78,15 @@ def observe_channels(params, health, sense, now_ns):
 
 @jit
 def beams_left_out(params, adaptive):
-    """Bit per beam of a plane that was not used for LEFT_OUT_NS, although it reads: the others outvote it."""
+    """Bit per beam of a plane that was not used for long, although it reads: the others outvote it.
+
+    An edge leaves out a beam for less than LONG_GAP_NS.
+    """
     health, now_ns, left_out = adaptive.health, adaptive.clock.now_ns, 0
     for c in range(params.n_channels):
         if adaptive.beams.accepted[c] != 0 or adaptive.plane.count == 0:
             health.used_ns[c] = now_ns
-        elif now_ns - health.used_ns[c] > LEFT_OUT_NS:
+        elif now_ns - health.used_ns[c] > quantities.LONG_GAP_NS:
             left_out |= 1 << c
     return left_out
 
