@@ -192,7 +192,7 @@ class NaiveResponse:
         if comes_back:
             suspicious, sign = False, descent_m > least_m and t_ns >= self.settled_ns
         if self.shift_ns is None and ((long and sign) or ((steep or comes_back) and descent_m > least_m)):
-            self.shift_ns, self.lift_m = t_ns, (2.0 if steep else 1.0) * r.SHIFT_BANDS * self.band_m
+            self.shift_ns, self.lift_m = t_ns, (1.0 if steep else 0.5) * c.MOTION_BANDS * self.band_m
             self.shift_z_m, self.shift_lead_m = z_m, self._lead_m(z_m)
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > wait_s
         self.rose = rises

@@ -82,7 +82,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "settling after a start or a loss": [("estimate", "t_ns + 60_000_000", "t_ns + 0")],
     "clamp of the slope": [
-        ("setpoint_blend", "max_slope = slope_limit(estimate.slope_power)", "max_slope = 1e6")
+        ("setpoint_blend", "max_slope = quantities.slope_limit(estimate.slope_power)", "max_slope = 1e6")
     ],
     "step taken back in a loss": [
         (
@@ -117,7 +117,8 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "limits behind a fall": [("setpoint_limits", "factor = params.toward_factor if", "factor = 1.0 if")],
     "two samples of slow sensors": [
-        ("pending_samples", "CONFIRMATION_TAUS = 0.5", "CONFIRMATION_TAUS = 1e9")
+        ("pending_samples", "late = is_long(needed * interval_s, tau_s)", "late = False"),
+        ("innovation_gate", "return is_long(adaptive.prediction.interval_s", "return is_long(0.0"),
     ],
     "learned waiting time": [
         (
@@ -155,7 +156,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "more samples in a burst": [("pending_samples", "int(0.25 * tau_s", "int(0.0 * tau_s")],
     "wider gate of sparse samples": [("innovation_gate", "PLAUSIBLE_SLOPE * travel_m", "0.0 * travel_m")],
     "confirmed drops of known ground": [
-        ("known_ground", "(adaptive.known.descent_m if in_time else 0.0)", "0.0")
+        ("known_ground", "(0.0 if late else adaptive.known.descent_m)", "0.0")
     ],
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")

@@ -459,7 +459,7 @@ def test_a_beam_that_the_others_outvote_is_named_while_it_is_left_out():
         seen.append((state["health"], state["reason"], state["status"]))
     named = ["left out (channel 2)" in reason for _, reason, _ in seen]
     assert not any(named[:500])
-    assert all(named[700:1000])
-    assert {health for health, _, _ in seen[700:1000]} == {"SUSPECT"}
+    assert all(named[800:1000])
+    assert {health for health, _, _ in seen[800:1000]} == {"SUSPECT"}
     assert all("VALID" in status for _, _, status in seen[200:])
     assert seen[-1][:2] == ("OK", "")

@@ -1,11 +1,15 @@
 """Times, numbers of samples and slopes that several stages share, with the reason for each."""
 
+import math
+
 from surffollow.shm.jit import jit
 
 MAX_GAP_NS = 50_000_000  # longer without a sample or report: a drop-out; nothing is extrapolated over it
 MISSING_NS = MAX_GAP_NS // 2  # a single missing sample is no drop-out; older footprints are of another plane
-PAUSE_NS = 100_000_000  # longer without a call or a sample is a pause; window of velocities; a fault is over
-# so far apart: reports of two motions, timestamps of two clocks, heights of two passes
+# longer without a call or a sample is a pause; window of velocities; a fault is over; a hollow is no slot
+PAUSE_NS = 100_000_000
+# so far apart: reports of two motions, timestamps of two clocks, heights of two passes; a fault stays; a
+# sensor ahead is silent
 LONG_GAP_NS = 1_000_000_000
 DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual intervals it drops out
 # in a row are no chance: at a start, near the fold-back, with a timestamp that goes back
@@ -31,6 +35,12 @@ def follow_usual(usual, value):
 def follow_interval(usual, gap):
     """Usual interval after one more; a gap counts as two usual ones at most."""
     return follow_usual(usual, min(gap, 2.0 * usual) if usual != 0.0 else gap)
+
+
+@jit
+def slope_limit(power):
+    """Greatest slope that is plausible beside a mean squared one: three RMS slopes."""
+    return max(PLAUSIBLE_SLOPE, 3.0 * math.sqrt(power))
 
 
 @jit

@@ -6,12 +6,11 @@ from surffollow.forecast.estimation import innovation_gate, model_bank, model_we
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
-from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest
+from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, MIN_DIRECTION_SPEED_MPS, is_at_rest
 from surffollow.forecast.terrain.terrain_buffer import store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, N_MODELS, PENDING_HEIGHTS, RESTART, STEP
 
-MIN_SPEED_MPS = 1e-3  # least speed assumed: bank and index are updated at rest, too
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 
 
@@ -63,7 +62,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh):
     innovation_gate.reset_gate(gate, adaptive.pending, fresh)
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:
-        estimate.confirmed_ns = estimate.in_frame_ns = t_ns
+        estimate.confirmed_ns = t_ns
     estimate.settle_ns = t_ns + 60_000_000  # the performance index waits until setpoints have acted
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
     blend_models(adaptive)
@@ -138,7 +137,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh)
         return True
     adapt = adapts(params, adaptive)  # else index, weights and noise stay as they are
-    travel = max(travel_m, MIN_SPEED_MPS * dt)
+    travel = max(travel_m, MIN_DIRECTION_SPEED_MPS * dt)  # bank and index are updated at rest, too
     over_ns = t_ns - int(shadow_axes.compared_lag_s(adaptive) * 1e9)
     comparable = shadow_axes.propagate_shadows(params, adaptive, over_ns)
     estimate.sample_ns = t_ns
@@ -188,9 +187,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
         shadow_axes.reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)
     estimate.samples += 1
     estimate.accepted_ns = t_ns
-    if estimate.samples >= CONFIRMATION_SAMPLES:
+    # while samples are from before the newest jump of the frame, the tool holds its height
+    if estimate.samples >= CONFIRMATION_SAMPLES and t_ns >= kinematics.jump_ns:
         estimate.confirmed_ns = t_ns
-        # while samples are from before the newest jump of the frame, the tool holds its height
-        if t_ns >= kinematics.jump_ns:
-            estimate.in_frame_ns = t_ns
     return True

@@ -18,13 +18,13 @@ import math
 
 from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
 from surffollow.forecast.estimation.pending_samples import (
-    CONFIRMATION_TAUS,
     INNER_GATE,
     confirm_by,
     drop_pending,
     reject_pending,
 )
 from surffollow.forecast.modes import adapts
+from surffollow.forecast.plant.axis_model import is_long
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
     MAX_SLOPE,
@@ -169,8 +169,8 @@ def gate_width(params, adaptive):
 
 @jit
 def is_slow(adaptive):
-    """Whether the sensor's interval is longer than τ/2: a second sample comes late."""
-    return adaptive.prediction.interval_s > CONFIRMATION_TAUS * adaptive.plant.tau_s
+    """Whether the sensor's interval is long for the axis: a second sample comes late."""
+    return is_long(adaptive.prediction.interval_s, adaptive.plant.tau_s)
 
 
 @jit

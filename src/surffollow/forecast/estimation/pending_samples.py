@@ -4,16 +4,13 @@ A step toward the tool is confirmed by agreeing samples, a step away from it als
 because it may be a slot. The distance depends on the likelihood of slots: slots end, steps stay.
 """
 
-from surffollow.forecast.quantities import MAX_SLOPE
-from surffollow.forecast.sensing.sample_hold import count_m
+from surffollow.forecast.plant.axis_model import is_long
+from surffollow.forecast.quantities import MAX_SLOPE, PAUSE_NS
+from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS, count_m
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
-# two samples confirm a step where more of them take longer than so many time constants of the axis; where
-# the interval is longer than that, the tool rises before the second one
-CONFIRMATION_TAUS = 0.5
 INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and two pending ones do not agree
-STOOD_NS = 120_000_000  # a hollow that lasts so long is no slot, where the tool rests or after a bad start
 
 
 @jit
@@ -26,7 +23,7 @@ def _agrees(params, adaptive, innovation_m, travel_m, gate_m):
     pending = adaptive.pending
     height_m = adaptive.estimate.height_m + innovation_m
     further_m = height_m - pending.kept_height_m[(pending.samples - 1) & (PENDING_HEIGHTS - 1)]
-    tolerance = max(INNER_GATE * gate_m, params.gate_m, 1.5 * count_m(adaptive.hold))
+    tolerance = max(INNER_GATE * gate_m, params.gate_m, HOLD_TOLERANCE_COUNTS * count_m(adaptive.hold))
     tolerance += travel_m
     if further_m > 0.0 or adaptive.estimate.rests != 0:
         axis_m = params.plant_v_max_mps * adaptive.prediction.interval_s
@@ -51,7 +48,8 @@ def _add_pending(adaptive, innovation_m, travel_m):
 def _needed(params, adaptive, rises_on):
     """Number of pending samples that confirm a step."""
     pending, tau_s, interval_s = adaptive.pending, adaptive.plant.tau_s, adaptive.prediction.interval_s
-    needed, late = params.step_samples, params.step_samples * interval_s > CONFIRMATION_TAUS * tau_s
+    needed = params.step_samples
+    late = is_long(needed * interval_s, tau_s)
     if late or adaptive.gate.slot_likelihood < 0.2:  # a third one comes late, or steps have stayed
         needed = min(needed, 2)
     # in a burst of wrong readings some agree by chance; they delay a step by no more than τ/4
@@ -75,7 +73,7 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
     With the likelihood of slots ρ, the sensor's interval T, the axis' time constant τ and n = `step_samples`:
 
         need = (2 if ρ < 0.2 or n T > τ/2, else n) + min(outliers that agreed with none, τ / (4 T)) − rises_on
-        is_step = ν > 0, or travel ≥ ρ · `step_travel`, or time ≥ 120 ms, or pending > accepted samples
+        is_step = ν > 0, or travel ≥ ρ · `step_travel`, or time ≥ 100 ms, or pending > accepted samples
 
     A step is confirmed when pending ≥ need and is_step. One outlier that disagrees with n others is left out.
     """
@@ -94,9 +92,10 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
         pending.travel_m = pending.innovation_m = pending.arc_length_m = pending.height_m = 0.0
         travel_m = 0.0
     _add_pending(adaptive, innovation_m, travel_m)
-    # a step away from the tool may be a slot; with a bad start, and at rest, there is no travel
+    # a step away from the tool may be a slot; with a bad start, and at rest, there is no travel, but a hollow
+    # that lasts so long is no slot
     travelled = pending.travel_m >= params.step_travel_m * adaptive.gate.slot_likelihood
-    stood = estimate.sample_ns - pending.t_ns >= STOOD_NS
+    stood = estimate.sample_ns - pending.t_ns >= PAUSE_NS
     is_step = innovation_m > 0.0 or travelled or stood or pending.samples > estimate.samples
     return pending.samples >= _needed(params, adaptive, rises_on) and is_step
 

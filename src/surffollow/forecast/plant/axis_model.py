@@ -12,6 +12,12 @@ MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their se
 
 
 @jit
+def is_long(time, tau):
+    """Whether a time is more than half of the axis' time constant: what comes behind it is late."""
+    return time > 0.5 * tau
+
+
+@jit
 def axis_velocity(distance_m, tau_s, a_max_mps2):
     """Velocity at which the axis approaches its setpoint: proportional, then square root [m/s]."""
     d, linear = abs(distance_m), a_max_mps2 * tau_s * tau_s

@@ -51,7 +51,7 @@ def period_is_due(adaptive, inputs, now_ns):
     interval_ns, left = controller.interval_ns, latch_time(adaptive, inputs, now_ns) - now_ns
     early = left <= 0.89 * min(interval_ns, PERIOD_S * 1e9)
     prepares = controller.latch_pending == 0 and early and elapsed >= SHORTEST_PERIODS * interval_ns
-    return prepares or elapsed >= 1.4 * interval_ns
+    return prepares or elapsed >= (2.0 - SHORTEST_PERIODS) * interval_ns
 
 
 @jit

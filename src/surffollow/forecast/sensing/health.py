@@ -13,8 +13,6 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
-LEFT_OUT_NS = 500_000_000  # a beam of a plane that is not used for so long: an edge leaves out one for less
-
 
 @jit
 def missing_s(adaptive, since_ns, least_ns=quantities.MAX_GAP_NS):
@@ -46,18 +44,17 @@ def is_uncertain(params, adaptive, silent):
 def is_lost(params, adaptive):
     """Whether no sample entered a confirmed estimate within the loss time-out.
 
-    An estimate of a single sample is not confirmed. A sensor whose range did not respond, and that
-    falls silent, has nothing to continue from. Before that, ground that it did not see may have come near; in
-    silence it stays so, also when the tool stops.
+    An estimate of a single sample is not confirmed, nor one of another frame: where frames jump more often
+    than samples arrive, the tool would hold its height for ever. A sensor whose range did not respond, and
+    that falls silent, has nothing to continue from. Before that, ground that it did not see may have come
+    near; in silence it stays so, also when the tool stops.
     """
     estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
     if estimate.samples == 0 or (stuck and silent):
         return True
     if adaptive.health.unseen != 0 or (stuck and is_uncertain(params, adaptive, silent)):
         return True
-    # frames that jump more often than samples arrive: the tool would hold its height for ever
-    held = adaptive.clock.now_ns - estimate.in_frame_ns > 2 * params.loss_timeout_ns
-    return held or adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
+    return adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
 
 
 @jit
@@ -80,12 +77,15 @@ def observe_channels(params, health, sense, now_ns):
 
 @jit
 def beams_left_out(params, adaptive):
-    """Bit per beam of a plane that was not used for LEFT_OUT_NS, although it reads: the others outvote it."""
+    """Bit per beam of a plane that was not used for long, although it reads: the others outvote it.
+
+    An edge leaves out a beam for less than LONG_GAP_NS.
+    """
     health, now_ns, left_out = adaptive.health, adaptive.clock.now_ns, 0
     for c in range(params.n_channels):
         if adaptive.beams.accepted[c] != 0 or adaptive.plane.count == 0:
             health.used_ns[c] = now_ns
-        elif now_ns - health.used_ns[c] > LEFT_OUT_NS:
+        elif now_ns - health.used_ns[c] > quantities.LONG_GAP_NS:
             left_out |= 1 << c
     return left_out
 

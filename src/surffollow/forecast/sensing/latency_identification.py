@@ -10,14 +10,13 @@ import math
 
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.modes import adapts
+from surffollow.forecast.plant import axis_model
 from surffollow.forecast.pose import newest_pose, pose_at
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, FULL_POWER_SAMPLES, SLOW_RATE, USUAL_SAMPLES
 from surffollow.forecast.sensing import kinematics
 from surffollow.shm.jit import jit
 
 MAX_LATENCY_S = 0.1  # greater ones have to be configured
-# of the slow mean: the tool begins to swing; a constant error of so much is not noticed either
-MAX_DRIFT_TAUS = 0.5
 
 
 @jit
@@ -57,12 +56,13 @@ def is_late(params, adaptive):
 
     The first means of a channel are of fewer ranges, and younger. Ground that is seen 2 τ late is behind the
     tool, and the axis has moved since. A clock that falls behind slowly makes the slow mean grow, which
-    scatters less and is compared with that of the first samples.
+    scatters less and is compared with that of the first samples. When that is long for the axis, the tool
+    begins to swing.
     """
     latency, tau_s = adaptive.latency, adaptive.plant.tau_s
     younger_s = 0.5 * (params.sensor_readings - 1) * adaptive.prediction.interval_s
     grown_s, drifted_s = latency.delay_s - latency.least_s, latency.mean_s - latency.first_s
-    return grown_s > 2.0 * tau_s + younger_s or drifted_s > MAX_DRIFT_TAUS * tau_s + younger_s
+    return grown_s > 2.0 * tau_s + younger_s or axis_model.is_long(drifted_s - younger_s, tau_s)
 
 
 @jit

@@ -26,7 +26,6 @@ from surffollow.shm.layout_adaptive_sensing import (
     SIGN_FOR_SHIFT,
 )
 
-SHIFT_BANDS = 2.0  # by so many bands the setpoint is shifted up, by twice as many in a steep descent
 STEEP = 0.5  # of the stand-off: a descent that goes farther in the time of an answer is steep
 ASCENT_SHARE = 0.25  # of an ascent counts
 # times the half spread of the ranges before the test of a descent: the answer to a lift, and the lift
@@ -125,7 +124,7 @@ def _update_run(params, adaptive, tool_z_m):
     long = sign != NO_SIGN and run.samples > 2.0 * MIN_MEANS * number
     if response.lift_m == 0.0 and (long or ((steep or returns) and descent > least_m)):
         _begin_phase(response, RESPONSE_RUN, tool_z_m)
-        response.lift_m = (2.0 if steep else 1.0) * SHIFT_BANDS * band_m
+        response.lift_m = (1.0 if steep else 0.5) * MOTION_BANDS * band_m
         response.lead_m = _excess_lead_m(adaptive, tool_z_m)
     late = response.lift_m > 0.0 and (response.t_ns - response.test_ns) * 1e-9 > wait_s
     if rises:
@@ -143,13 +142,6 @@ def _test_descent(params, adaptive, tool_z_m, spread_m):
     _begin_run(params, adaptive, tool_z_m, 0.5 * (descent.most_m + descent.least_m))
     response.swing_m, response.rises = spread_m, 0
     _begin_phase(response, RESPONSE_HOLD, tool_z_m)
-
-
-@jit
-def _late_s(adaptive):
-    """Time for which the answer to the present hold or lift is late [s]."""
-    response = adaptive.response
-    return (response.t_ns - response.test_ns) * 1e-9 - answer_s(adaptive, MIN_MEANS)
 
 
 @jit
@@ -182,7 +174,8 @@ def _update_test(params, adaptive, tool_z_m):
     # as late as the mean range; under a constant one the setpoint oscillates in an ascent: twice as long
     number = (2.0 if rises else 1.0) * MIN_MEANS * mean_range.mean_samples(adaptive)
     response.missing_m += (missing_m - response.missing_m) / number
-    late_s, longest_s = _late_s(adaptive), ANSWER_TAUS * adaptive.plant.tau_s
+    longest_s = ANSWER_TAUS * adaptive.plant.tau_s
+    late_s = (response.t_ns - response.test_ns) * 1e-9 - answer_s(adaptive, MIN_MEANS)
     if late_s <= (longest_s if rises else 0.0):
         return
     if response.phase == RESPONSE_HOLD:

@@ -8,7 +8,7 @@ from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, QUICK_RATE
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
-HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample
+HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample, and no new height
 
 
 @jit_inlined

@@ -12,6 +12,8 @@ import math
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, PAUSE_NS
 from surffollow.shm.jit import jit, jit_inlined
 
+SHORT_CYCLE_S = 5e-4  # of a quick caller: the overshoot of shorter ones is small; the first cycle is as long
+
 
 @jit
 def stopping_distance(speed_mps, accel_mps2, a_max_mps2, jerk_mps3):
@@ -128,8 +130,7 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     may_be_slot = gate.step_m < 0.0 and gate.travel_since_step_m < 12.0 * params.step_travel_m
     gentle = e < 0.0 and (setpoint.approaching != 0 or may_be_slot)
     factor = params.toward_factor if gentle else 1.0
-    # shorter intervals than 0.5 ms are ignored: their overshoot is small
-    shortest_s = max(setpoint.min_interval_s, 5e-4) if setpoint.min_interval_s > 0.0 else dt_s
+    shortest_s = max(setpoint.min_interval_s, SHORT_CYCLE_S) if setpoint.min_interval_s > 0.0 else dt_s
     # setpoints much quicker than the axis add effort only; those of a plan are farther ahead of it, so that
     # it responds sooner
     ratio = 1.0 + 2.0 * adaptive.preview.share
@@ -185,7 +186,7 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     if pause:
         begin_setpoint(setpoint, tool_z_m, 0.0)
         setpoint.approaching = 1
-        dt = 5e-4  # as if the cycle before was so long ago
+        dt = SHORT_CYCLE_S
     if note_limits(params, setpoint) and not pause:
         # with the motion of the tool, which its axis can stop; none toward the surface
         rate_mps = max(adaptive.kinematics.climb_mps, 0.0)

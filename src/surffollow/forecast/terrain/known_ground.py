@@ -6,7 +6,8 @@ cycle. Where known ground lies below what channel 0 measures, preview would pull
 
 import math
 
-from surffollow.forecast.quantities import APART_M, SLOW_RATE
+from surffollow.forecast.plant.axis_model import is_long
+from surffollow.forecast.quantities import APART_M, QUICK_RATE, SLOW_RATE
 from surffollow.forecast.terrain.terrain_buffer import CELL_M, buffered_height, sensor_leads
 from surffollow.shm.jit import jit
 
@@ -73,7 +74,7 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     gate, bias_m = disagreement_m(adaptive), known.bias_m[source]
     agrees = lowest - gate < h_m - bias_m < highest + gate
     difference_m = min(max(h_m - here - bias_m, -gate), gate)
-    known.difference_m2[source] += (difference_m * difference_m - known.difference_m2[source]) / 64.0
+    known.difference_m2[source] += QUICK_RATE * (difference_m * difference_m - known.difference_m2[source])
     known.contradictions = 0 if agrees else known.contradictions + 1
     drop_length_m = 2.0 * APART_M  # over which a drop is taken; a map is not used for as long after an error
     fading = min(adaptive.sample.spacing_m / drop_length_m, 1.0) if known.peak_m != 0.0 else 1.0
@@ -108,8 +109,8 @@ def lowest_plan(adaptive, sensed_m):
 
     It may descend by as much as a confirmed drop where two samples can contradict it in time.
     """
-    in_time = 2.0 * adaptive.prediction.interval_s < 0.5 * adaptive.plant.tau_s
-    return sensed_m - MAX_UNCONFIRMED_DESCENT_M - (adaptive.known.descent_m if in_time else 0.0)
+    late = is_long(2.0 * adaptive.prediction.interval_s, adaptive.plant.tau_s)
+    return sensed_m - MAX_UNCONFIRMED_DESCENT_M - (0.0 if late else adaptive.known.descent_m)
 
 
 @jit

@@ -6,7 +6,7 @@ while channel 0 leads itself: nothing under the tool would check them.
 
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import APART_M, PLAUSIBLE_SLOPE
+from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.kinematics import distance_along, is_at_rest
 from surffollow.forecast.terrain.known_ground import disagreement_m
 from surffollow.forecast.terrain.terrain_buffer import CELL_M, sensor_leads, store_ground
@@ -25,8 +25,8 @@ def observe_lookahead(params, adaptive, sense, pose):
     """
     clock, kinematics, sample = adaptive.clock, adaptive.kinematics, adaptive.sample
     estimate, lookahead = adaptive.estimate, adaptive.lookahead
-    moving = not is_at_rest(kinematics)  # otherwise no channel leads, nor does one that was silent for 200 ms
-    if not moving or clock.now_ns - lookahead.seen_ns > 200_000_000:
+    moving = not is_at_rest(kinematics)  # otherwise no channel leads, nor does one that was silent for long
+    if not moving or clock.now_ns - lookahead.seen_ns > LONG_GAP_NS:
         lookahead.lead_m = 0.0
     if not moving or estimate.samples == 0 or sensor_leads(adaptive):
         return
