@@ -127,9 +127,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             )
         if "shrunk" in r:
             print(f"least harmful scenario: {r['shrunk']}", file=sys.stderr)
+    over, touched = (sum(r[key][first] for r in rows) for key in ("over_limit", "contact_valid"))
     print(
-        f"{len(jobs)} scenarios; {first} {'meets' if met else 'misses'}: "
-        f"{1e3 * BELOW_P_M:g} mm below p, no VALID contact"
+        f"{len(jobs)} scenarios: {first} is more than {1e3 * BELOW_P_M:g} mm below p in {over},"
+        f" and touches the ground while VALID in {touched}; the limit is none of either"
     )
     return 0 if met else 1
 
