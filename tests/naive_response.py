@@ -106,7 +106,8 @@ class NaiveResponse:
         if not self.is_quiet:
             self.usual_m += SLOW_RATE * (min(self.spread_m, self.sigma_m) - self.usual_m)
         if not tests and not begins:
-            self.usual_error_m += SLOW_RATE * (abs(self.mean_m - self.standoff_m) - self.usual_error_m)
+            error_m = min(abs(self.mean_m - self.standoff_m), c.MAX_USUAL_ERROR * self.standoff_m)
+            self.usual_error_m += SLOW_RATE * (error_m - self.usual_error_m)
         self.in_run += 1
         if self.swing_m == 0.0 and self.number < self.in_run < m.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run

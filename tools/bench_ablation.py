@@ -82,7 +82,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "settling after a start or a loss": [("estimate", "t_ns + 60_000_000", "t_ns + 0")],
     "clamp of the slope": [
-        ("setpoint_blend", "max_slope = quantities.slope_limit(estimate.slope_power)", "max_slope = 1e6")
+        ("setpoint_blend", "max_slope = slope_limit(estimate.slope_power)", "max_slope = 1e6")
     ],
     "step taken back in a loss": [
         (

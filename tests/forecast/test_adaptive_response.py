@@ -14,12 +14,17 @@ from surffollow.benchmark.hazards import PLoop, play
 from surffollow.benchmark.job_loop import Job, follow
 from surffollow.benchmark.runner import run_method, scene_of, score_run
 from surffollow.benchmark.suite import Cell
+from surffollow.forecast.sensing.constant_ranges import USUAL_ERRORS
+from surffollow.forecast.sensing.response import observe_response
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import (
     RESPONSE_FAILED,
     RESPONSE_LIFT,
     RESPONSE_RUN,
 )
 
+from .driving import default_params
 from .response_loop import MS, TAU_MS, closed_loop, noisy, standard
 
 
@@ -304,3 +309,20 @@ def test_a_lower_standoff_is_no_reason_to_test_a_good_sensor(seed):
         if k == 3100:
             assert z - ground < 11.0, "10 s are five time constants"
     assert phases == {RESPONSE_RUN}
+
+
+@pytest.mark.parametrize("away", [1.2, 2.2])
+def test_a_tool_that_was_led_away_has_no_great_usual_error(away):
+    """GIVEN a tool that was held far from its stand-off THEN great errors are signs of a fault behind it.
+
+    A sensor that was blocked behind it led the tool into the ground, VALID.
+    """
+    params, adaptive = default_params(offset_m=0.1)[0], zeros(AdaptiveState)[0]
+    rng = np.random.default_rng(1)
+    adaptive["plant"]["tau_s"], adaptive["prediction"]["interval_s"] = 0.05, 0.05
+    adaptive["noise"]["sigma_m"] = adaptive["noise"]["range_sigma_m"] = 3e-4
+    for k in range(1, 1000):
+        observe_response(
+            params, adaptive, k * 50_000_000, 0.1 * away + 3e-4 * rng.standard_normal(), 0.1 * away, 0.0
+        )
+    assert USUAL_ERRORS * adaptive["run"]["error_m"] < 0.1 * params["offset_m"]

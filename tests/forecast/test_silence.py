@@ -52,6 +52,24 @@ def test_valid_ends_before_ground_that_rises_under_a_resting_tool_has_come_near(
     assert not valid[-1]
 
 
+@pytest.mark.parametrize("rest_s", [0.5, 5.0])
+def test_valid_goes_on_in_silence_where_a_tool_has_stopped_over_rough_ground(rest_s):
+    """GIVEN rough ground that stays WHEN a tool has stopped THEN nothing can rise while no reading comes."""
+    rng = np.random.default_rng(3)
+    lengths, phases = rng.uniform(0.05, 0.4, 8), rng.uniform(0.0, 6.3, 8)
+    stop_s = 6.0
+
+    def ground(x, t):
+        return float(np.sum(0.02 * lengths * np.sin(2.0 * math.pi * x / lengths + phases)))
+
+    def misread(t, r, rng):
+        return math.nan if stop_s + rest_s < t < stop_s + rest_s + 2.0 else r
+
+    seconds = stop_s + rest_s + 3.0
+    run = follow(CELL, ground, seconds, misread=misread, place_m=lambda t: 0.15 * min(t, stop_s))
+    assert all("VALID" in s["status"] for s in run.states)
+
+
 def test_valid_goes_on_in_silence_over_level_ground():
     run = follow(CELL, lambda x, t: 0.0, 4.0, 0.2, misread=silent_from(2.0))
     assert "VALID" in run.states[-1]["status"]

@@ -1,7 +1,5 @@
 """Times, numbers of samples and slopes that several stages share, with the reason for each."""
 
-import math
-
 from surffollow.shm.jit import jit
 
 MAX_GAP_NS = 50_000_000  # longer without a sample or report: a drop-out; nothing is extrapolated over it
@@ -35,12 +33,6 @@ def follow_usual(usual, value):
 def follow_interval(usual, gap):
     """Usual interval after one more; a gap counts as two usual ones at most."""
     return follow_usual(usual, min(gap, 2.0 * usual) if usual != 0.0 else gap)
-
-
-@jit
-def slope_limit(power):
-    """Greatest slope that is plausible beside a mean squared one: three RMS slopes."""
-    return max(PLAUSIBLE_SLOPE, 3.0 * math.sqrt(power))
 
 
 @jit

@@ -127,6 +127,7 @@ class Estimate(Schema):
     slope = F64(unit="1", doc="blended slope")
     rests = I64(doc="1: the tool rests, and the path is time")
     kept_slope = F64(unit="1", doc="slope along the way before a rest")
+    kept_slope_power = F64(unit="1", doc="slope_power before a rest")
     slope_power = F64(unit="1", doc="mean squared slope over the last metre")
     quick_slope_power = F64(unit="1", doc="the same by the model `QUICK`, whatever its weight")
     gain = F64(doc="gain of the blended height")

@@ -152,7 +152,7 @@ class Descent(Schema):
     low_z_m = F64(unit="m", doc="least height since then")
     floor_z_m = F64(unit="m", doc="least height before it")
     reach_m = F64(unit="m", doc="shorter descents are explained; grows with each test that is answered")
-    slope = F64(doc="greatest plausible slope of the ground where it began")
+    slope = F64(doc="RMS slope of the ground where it began")
     travel_m = F64(unit="m", doc="distance travelled since then")
     error_m = F64(unit="m", doc="mean of range minus stand-off since then")
     range_m = F64(unit="m", doc="running mean of the range")

@@ -91,14 +91,16 @@ def confirm_step(params, adaptive, stretch):
 def change_path(adaptive, rests):
     """Begin the path of a tool that stops or starts; slopes over distance are kept over a rest.
 
-    The path of a tool at rest is time. Its slopes are rates at which the ground moves.
+    The path of a tool at rest is time. Its slopes are rates at which the ground moves: 0 until it does.
     """
-    estimate, kept = adaptive.estimate, 0.0 if rests else adaptive.estimate.kept_slope
+    estimate = adaptive.estimate
     estimate.rests = 1 if rests else 0
     if rests:
-        estimate.kept_slope = estimate.slope
-    model_bank.begin_path(adaptive.bank, kept)
-    estimate.slope = kept
+        estimate.kept_slope, estimate.kept_slope_power = estimate.slope, estimate.slope_power
+        estimate.slope = estimate.slope_power = 0.0
+    else:
+        estimate.slope, estimate.slope_power = estimate.kept_slope, estimate.kept_slope_power
+    model_bank.begin_path(adaptive.bank, estimate.slope)
 
 
 @jit

@@ -25,6 +25,7 @@ SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off
 MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
 USUAL_ERRORS = 3.0  # errors up to so many usual ones, as over ground that accelerates, are no sign of a fault
+MAX_USUAL_ERROR = 0.03  # of the stand-off: another controller may have led the tool far away from it
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 
 
@@ -57,7 +58,8 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
         run.usual_m += SLOW_RATE * (min(run.spread_m, sigma_m) - run.usual_m)
     tests = adaptive.response.phase != RESPONSE_RUN or adaptive.response.lift_m > 0.0
     if not tests and run.standoff_m > 0.0:  # not before the first run
-        run.error_m += SLOW_RATE * (abs(run.mean_m - run.standoff_m) - run.error_m)
+        error_m = min(abs(run.mean_m - run.standoff_m), MAX_USUAL_ERROR * run.standoff_m)
+        run.error_m += SLOW_RATE * (error_m - run.error_m)
     run.samples += 1
     # its own mean is the better known one, but in the test of a descent the middle of a spread is
     if adaptive.response.swing_m == 0.0 and number < run.samples < mean_range.RUN_SAMPLES:

@@ -8,7 +8,9 @@ neither is so, and the ground would be steep. Below the lowest ground so far suc
 (`response`).
 """
 
-from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, slope_limit
+import math
+
+from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.response import SWINGS, answer_s
@@ -20,6 +22,7 @@ FALL_ERRORS = 3.0  # mean errors in a fall over ground that stays: two at most
 LEAST_ERROR = 0.02  # of the stand-off: less takes a descent of fifty errors or more to the ground
 ERROR_MEANS = 8.0  # mean ranges in the mean error: with more a slow sensor is named later
 SPREAD_TAUS = 50.0  # in which the spread of the ranges fades
+STEEPER = 2.0  # than the RMS slope before the descent: ground that was steep may fall as steeply
 TESTED_SHARE = 0.1  # of the stand-off below the lowest ground; and of a spread that an answer can exceed
 
 
@@ -28,7 +31,7 @@ def begin_descent(adaptive, tool_z_m, reach_m):
     """Begin at this height without a range; shorter descents than `reach_m` are taken as explained."""
     descent = adaptive.descent
     descent.floor_z_m, descent.reach_m = min(descent.floor_z_m, descent.low_z_m), reach_m
-    descent.slope = slope_limit(adaptive.estimate.slope_power)
+    descent.slope = math.sqrt(adaptive.estimate.slope_power)
     descent.samples, descent.error_m, descent.travel_m = 0, 0.0, 0.0
     descent.top_z_m = descent.low_z_m = tool_z_m
 
@@ -37,13 +40,13 @@ def begin_descent(adaptive, tool_z_m, reach_m):
 def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     """Update the descent with a sample of channel 0: whether it is unexplained, and is to be tested at once.
 
-    With mean error e, fall Δz, spread ±B of the ranges, stand-off s₀, greatest plausible slope m of the
-    ground where it began and distance d travelled it is unexplained if
+    With mean error e, fall Δz, spread ±B of the ranges, stand-off s₀, RMS slope m before the descent and the
+    distance d travelled it is unexplained if
 
-        e > 0.02 s₀, Δz > 3 e, e Δz > 0.36 B s₀, Δz > m d, Δz > L
+        e > 0.02 s₀, Δz > 3 e, e Δz > 0.36 B s₀, Δz > 0.2 d, Δz > L
 
-    It is to be tested L below the lowest height before, if B < 0.1 s₀, unless the tool comes back from
-    another test. Falling ground must stay in the window until it is answered. The test ends it.
+    It is to be tested L below the lowest height before, if B < 0.1 s₀ and Δz > 2 m d, unless the tool comes
+    back from another test. Falling ground must stay in the window until it is answered. The test ends it.
     L is 0.1 s₀, and twice as much behind each test that the range answers and each fall of s₀, until the tool
     rises. With fewer than eight samples in τ the tool would lag too far behind falling ground in a test.
 
@@ -111,7 +114,7 @@ def _is_unexplained(params, adaptive, tool_z_m, spread_m):
     known = descent.samples > 2.0 * mean_range.mean_samples(adaptive)
     long = known and error_m > least_m and fall_m > FALL_ERRORS * error_m
     great = error_m * fall_m > mean_range.ERROR_MOTION * spread_m * params.offset_m
-    steep = fall_m > max(descent.slope * descent.travel_m, descent.reach_m)
+    steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
     return long and great and steep and abs(adaptive.sample.lead_m) < APART_M
 
 
@@ -133,7 +136,8 @@ def _is_testable(params, adaptive, t_ns, tool_z_m, spread_m):
     narrow = spread_m < TESTED_SHARE * params.offset_m
     falls_m = abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, MIN_MEANS)
     has_room = descent.error_m + SWINGS[1] * spread_m + falls_m < params.range_max_m - params.offset_m
-    deep = tool_z_m < descent.floor_z_m - descent.reach_m
+    steeper = descent.top_z_m - tool_z_m > STEEPER * descent.slope * descent.travel_m
+    deep = steeper and tool_z_m < descent.floor_z_m - descent.reach_m
     idle = response.phase == RESPONSE_RUN and t_ns >= response.settled_ns
     return known and quick and narrow and has_room and deep and idle
 

@@ -14,6 +14,12 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
 
+@jit
+def slope_limit(power):
+    """Greatest slope that is plausible beside a mean squared one."""
+    return max(quantities.PLAUSIBLE_SLOPE, 3.0 * math.sqrt(power))
+
+
 @jit_inlined
 def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """Setpoints of all models `ahead_m` beyond the newest footprint; their blend and its slope.
@@ -42,7 +48,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     model_bank.extrapolate_bank(bank, ahead_m)
     margin = 1e-3 + max_slope * (abs(ahead_m) + abs(lead_m))
     unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
-    steepest = quantities.slope_limit(adaptive.estimate.quick_slope_power)
+    steepest = slope_limit(adaptive.estimate.quick_slope_power)
     if innovation_gate.is_slow(adaptive):
         # with 0 valleys cost 17 instead of 3 mm of clearance (bench_hazards.py, "valley and slow"), with 1 a
         # winch's error is 15 % greater (bench_scales.py)
@@ -110,7 +116,7 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
     if turned:  # along the way of the newest sample
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
     # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre
-    max_slope = quantities.slope_limit(estimate.slope_power)
+    max_slope = slope_limit(estimate.slope_power)
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     # a fall that samples have followed for so long, or over this travel, is no slot
     recent = estimate.accepted_ns - gate.step_ns < quantities.PAUSE_NS
