@@ -99,7 +99,8 @@ def change_path(adaptive, rests):
         estimate.kept_slope, estimate.kept_slope_power = estimate.slope, estimate.slope_power
         estimate.slope = estimate.slope_power = 0.0
     else:
-        estimate.slope, estimate.slope_power = estimate.kept_slope, estimate.kept_slope_power
+        estimate.slope = estimate.kept_slope
+        estimate.slope_power = max(estimate.slope_power, estimate.kept_slope_power)  # steep ground is clamped less
     model_bank.begin_path(adaptive.bank, estimate.slope)
 
 
