@@ -62,7 +62,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh):
     innovation_gate.reset_gate(gate, adaptive.pending, fresh)
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:
-        estimate.confirmed_ns = t_ns
+        estimate.confirmed_ns = estimate.in_frame_ns = t_ns
     estimate.settle_ns = t_ns + 60_000_000  # the performance index waits until setpoints have acted
     estimate.arc_length_m += MAX_TRAVEL_M + min(travel_m, MAX_TRAVEL_M)  # no cell from before is near
     blend_models(adaptive)
@@ -190,7 +190,9 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
         shadow_axes.reset_shadows(adaptive.shadow, adaptive.shadow.t_ns, estimate.height_m + standoff_m)
     estimate.samples += 1
     estimate.accepted_ns = t_ns
-    # while samples are from before the newest jump of the frame, the tool holds its height
-    if estimate.samples >= CONFIRMATION_SAMPLES and t_ns >= kinematics.jump_ns:
+    if estimate.samples >= CONFIRMATION_SAMPLES:
         estimate.confirmed_ns = t_ns
+        # while samples are from before the newest jump of the frame, the tool holds its height
+        if t_ns >= kinematics.jump_ns:
+            estimate.in_frame_ns = t_ns
     return True

@@ -44,17 +44,18 @@ def is_uncertain(params, adaptive, silent):
 def is_lost(params, adaptive):
     """Whether no sample entered a confirmed estimate within the loss time-out.
 
-    An estimate of a single sample is not confirmed, nor one of another frame: where frames jump more often
-    than samples arrive, the tool would hold its height for ever. A sensor whose range did not respond, and
-    that falls silent, has nothing to continue from. Before that, ground that it did not see may have come
-    near; in silence it stays so, also when the tool stops.
+    An estimate of a single sample is not confirmed. A sensor whose range did not respond, and that
+    falls silent, has nothing to continue from. Before that, ground that it did not see may have come near; in
+    silence it stays so, also when the tool stops.
     """
     estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
     if estimate.samples == 0 or (stuck and silent):
         return True
     if adaptive.health.unseen != 0 or (stuck and is_uncertain(params, adaptive, silent)):
         return True
-    return adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
+    # frames that jump more often than samples arrive: the tool would hold its height for ever
+    held = adaptive.clock.now_ns - estimate.in_frame_ns > 2 * params.loss_timeout_ns
+    return held or adaptive.clock.now_ns - estimate.confirmed_ns > params.loss_timeout_ns
 
 
 @jit
