@@ -100,7 +100,8 @@ def change_path(adaptive, rests):
         estimate.slope = estimate.slope_power = 0.0
     else:
         estimate.slope = estimate.kept_slope
-        estimate.slope_power = max(estimate.slope_power, estimate.kept_slope_power)  # steep ground is clamped less
+        # a start on steep ground needs the wider clamp
+        estimate.slope_power = max(estimate.slope_power, estimate.kept_slope_power)
     model_bank.begin_path(adaptive.bank, estimate.slope)
 
 
