@@ -86,7 +86,7 @@ def test_any_reason_stops_with_and_without_a_slot(
         if not slot:
             client._release_slot()
         client.stop(reason)
-        assert stopped(client)
+        until(lambda: stopped(client), "the stop")
         until(
             lambda: any(e.get("reason", "-") == kept for e in client.audit()), "the reason in the trail", 5.0
         )
