@@ -60,7 +60,7 @@ def test_valid_goes_on_in_silence_where_a_tool_has_stopped_over_rough_ground(res
     stop_s = 6.0
 
     def ground(x, t):
-        return float(np.sum(0.02 * lengths * np.sin(2.0 * math.pi * x / lengths + phases)))
+        return float(np.sum(0.04 * lengths * np.sin(2.0 * math.pi * x / lengths + phases)))
 
     def misread(t, r, rng):
         return math.nan if stop_s + rest_s < t < stop_s + rest_s + 2.0 else r

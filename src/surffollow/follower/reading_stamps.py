@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from surffollow.forecast.plant.axis_model import is_long
+from surffollow.forecast.plant.axis_model import LONG_TAUS
 from surffollow.forecast.quantities import LONG_GAP_NS
 from surffollow.shm.layout_adaptive import REASON_NAMES, REASON_TIMESTAMPS
 from surffollow.shm.layout_follow import CHANNELS
@@ -208,7 +208,7 @@ class ReadingStamps:
     def is_fast(self, tau_ns: float) -> bool:
         """Whether the mean lead has grown, to one that no delay explains, at a time constant [ns]."""
         margin_ns = self._time.interval_ns + DEVIATIONS * self._deviation_ns
-        return bool(is_long.py_func(self._lead_ns - max(self._least_ns, 0.0) - margin_ns, tau_ns))
+        return self._lead_ns - max(self._least_ns, 0.0) - margin_ns > LONG_TAUS * tau_ns
 
 
 class Offset:

@@ -7,14 +7,15 @@ from surffollow.shm.jit import jit
 # of an axis model: beyond, another controller leads the robot; of a height between two reports
 MAX_MODEL_ERROR_M = 5e-4
 PERIOD_S = 0.01  # of the plan: one controller period
+LONG_TAUS = 0.5  # of the axis' time constant: a longer time is long for it
 AXIS_STEP_NS = 2_000_000  # of all axis models
 MAX_AXIS_GAP_NS = 250_000_000  # after a longer gap the axes are set to their setpoints
 
 
 @jit
 def is_long(time, tau):
-    """Whether a time is more than half of the axis' time constant: what comes behind it is late."""
-    return time > 0.5 * tau
+    """Whether a time is long for the axis: what comes behind it is late."""
+    return time > LONG_TAUS * tau
 
 
 @jit

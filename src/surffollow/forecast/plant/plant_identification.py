@@ -184,7 +184,7 @@ def height_is_known(adaptive, sense, t_ns):
     noise of the ranges does no harm. The interval of a controller above MAX_GAP_NS is not known: 0.
     """
     plant, interval_s = adaptive.plant, adaptive.controller.interval_ns * 1e-9
-    quick = 0.0 < interval_s < 0.5 * plant.tau_s
+    quick = 0.0 < interval_s < axis_model.LONG_TAUS * plant.tau_s
     if quick or t_ns <= sense.pose_t_ns[newest_pose(sense)]:
         return True
     error_m = min(plant.scatter_m, plant.coast_scatter_m) if plant.scatter_m > 0.0 else plant.coast_scatter_m

@@ -39,6 +39,12 @@ def begin_run(params, adaptive, tool_z_m, range_m):
 
 
 @jit
+def moves_tool(response):
+    """Whether a test of the response holds, lifts or shifts the tool."""
+    return response.phase != RESPONSE_RUN or response.lift_m > 0.0
+
+
+@jit
 def update_mean(adaptive, range_m, sigma_m, most_m):
     """Update the running mean, its spread, the mean of the run, and the usual error outside tests.
 
@@ -56,8 +62,7 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
     run.spread_m += (noise_m - run.spread_m) / (2.0 * MIN_MEANS * number)
     if not is_quiet(run):  # noise far below the usual one is not learned
         run.usual_m += SLOW_RATE * (min(run.spread_m, sigma_m) - run.usual_m)
-    tests = adaptive.response.phase != RESPONSE_RUN or adaptive.response.lift_m > 0.0
-    if not tests and run.standoff_m > 0.0:  # not before the first run
+    if not moves_tool(adaptive.response) and run.standoff_m > 0.0:  # not before the first run
         error_m = min(abs(run.mean_m - run.standoff_m), MAX_USUAL_ERROR * run.standoff_m)
         run.error_m += SLOW_RATE * (error_m - run.error_m)
     run.samples += 1
@@ -115,11 +120,11 @@ def sign_of_fault(adaptive, motion_m):
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
-    wrong = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
-    wrong = wrong and error_m > USUAL_ERRORS * run.error_m
+    unusual = error_m > USUAL_ERRORS * run.error_m
+    suspicious = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
     if motion_m <= MOTION_BANDS * band_m:  # it hides in the noise
         return NO_SIGN
-    if wrong or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED:
+    if (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED:
         return SIGN_FOR_HOLD
     # with fewer samples in τ the ground changes while an answer is awaited
     few = number < mean_range.MAX_READINGS

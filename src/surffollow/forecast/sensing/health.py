@@ -3,10 +3,11 @@
 from surffollow.forecast import quantities
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.quantities import follow_interval, tolerated_gap_s
+from surffollow.forecast.sensing.constant_ranges import moves_tool
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
-from surffollow.forecast.sensing.response import is_unresponsive, moves_tool
+from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.forecast.sensing.unseen_ground import uncertain_clearance
 from surffollow.shm import layout_adaptive as layout
 from surffollow.shm.jit import jit, jit_inlined

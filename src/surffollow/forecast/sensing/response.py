@@ -249,7 +249,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     response.t_ns = t_ns
     count_repeats(params, adaptive, range_m, tool_z_m)
     in_run, most_m = response.phase == RESPONSE_RUN, noise_m
-    if not in_run or response.lift_m > 0.0:  # in a test two samples answer, one does not
+    if constant_ranges.moves_tool(response):  # in a test two samples answer, one does not
         most_m = mean_range.mean_samples(adaptive) * mean_range.range_band_m(adaptive)
     constant_ranges.update_mean(adaptive, range_m, sigma_m, max(most_m, SWINGS[0] * response.swing_m))
     mean_m = adaptive.run.mean_m
@@ -274,12 +274,6 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
 def is_unresponsive(response):
     """Whether the range did not follow a test, and has not changed since."""
     return response.phase == RESPONSE_FAILED
-
-
-@jit
-def moves_tool(response):
-    """Whether a test holds, lifts or shifts the tool."""
-    return response.phase != RESPONSE_RUN or response.lift_m > 0.0
 
 
 @jit
