@@ -157,6 +157,17 @@ class Rig:
         else:
             self.link.send(REPORT.pack(1, 0, *[0.0] * 7))
 
+    def state(self) -> str:
+        """Name what holds the robot, for a failure's report."""
+        assert self.controller is not None
+        z_m = float(self.core.motion["axis"][0, 0])
+        late_s = 1e-9 * (time.monotonic_ns() - self.core.t_ns)
+        said = self.service.run("status").stdout
+        return (
+            f"tool at {z_m:.4f} m, {'holding' if self.core.holding else 'following'}, {late_s:.3f} s late; "
+            f"exit code of the controller {self.controller.poll()}; service:\n{said}"
+        )
+
     def close(self) -> None:
         if self.controller is not None:
             self.controller.kill()
@@ -211,7 +222,7 @@ def run(trials: int, seed: int, retract_m: float) -> dict[str, Any]:
             for n in range(trials):
                 kind, extra_s = KINDS[n % len(KINDS)], rng.uniform(0.0, 0.3)
                 if not until_moving(rig, extra_s):
-                    failed.append(f"{n}: the robot does not move again before {kind}")
+                    failed.append(f"{n}: the robot does not move again before {kind}: {rig.state()}")
                     break
                 with contextlib.suppress(SurffollowError):
                     other = other or attach_to(rig.service.name, stale_min_s=1.0)

@@ -99,7 +99,7 @@ def test_the_tool_is_at_rest_in_time_whatever_is_taken_away() -> None:
     done = subprocess.run(words, capture_output=True, text=True, timeout=400)
     assert done.stdout, done.stderr
     result = json.loads(done.stdout)
-    assert (done.returncode, result["failed"]) == (0, []), result
+    assert (done.returncode, result["failed"]) == (0, []), "\n".join(result["failed"])
     assert [row["trials"] for row in result["kinds"].values()] == [1] * 5
 
 
