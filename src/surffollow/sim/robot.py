@@ -73,6 +73,8 @@ class RobotCore(CommandedRobot):
         self._reports = PoseReports(config.report_latency_s, first)
         self.holding = True
         self._settled = 0
+        self._retracted_from_m = math.inf  # height of the last retract until the tool is back; inf: it is
+        self._near = 0  # demands in a row that send it no farther down
         self.started_ns = 0
         self._received_ns = start_ns
 
@@ -156,6 +158,9 @@ class RobotCore(CommandedRobot):
         self.holding = False
         report = self._reports.sent[pose_t_ns]
         self.motion["setpoint_m"] = setpoint_for(float(report[2]), demand_m)
+        self._near = self._near + 1 if demand_m > -SETTLED_M else 0
+        if self._near >= SETTLED_TICKS or report[2] <= self._retracted_from_m:
+            self._retracted_from_m = math.inf
         settled = abs(demand_m) < SETTLED_M
         if self.config.turn:
             turned(report[3:], x, y, z, self.motion["attitude_set"][0])
@@ -187,13 +192,19 @@ class RobotCore(CommandedRobot):
             self.motion["attitude_set"] = self.path.attitudes[min(here, len(self.path.attitudes) - 1)]
 
     def hold(self) -> None:
-        """Without a demand to trust: stop along the path; stay at the height last reported, or retract."""
+        """Without a demand to trust: stop along the path; stay at the height last reported, or retract.
+
+        A tool that is not back from a retract retracts no farther: losses in a row would lead it out of its
+        sensor's window.
+        """
         self._received_ns = self.t_ns
         if not self.holding:
             self.holding = True
-            self.motion["setpoint_m"] = self._reports.newest[2] + self.config.retract_m
+            z_m = float(self._reports.newest[2])
+            self._retracted_from_m = min(self._retracted_from_m, z_m)
+            self.motion["setpoint_m"] = max(z_m, self._retracted_from_m + self.config.retract_m)
             self.motion["attitude_set"] = self._reports.newest[3:]
-        self._settled = 0
+        self._settled = self._near = 0
         self.motion["moving"] = 0
 
     def summary(self) -> dict[str, Any]:
