@@ -80,6 +80,19 @@ def test_every_model_is_its_dense_kalman_filter(i):
     assert covariance_of(b, i) == pytest.approx(cov, rel=1e-5, abs=1e-12)
 
 
+@pytest.mark.parametrize("i", [i for i in range(bank.N_MODELS) if not bank.CURVES <= i < bank.WAVES])
+@pytest.mark.parametrize("stretch", [1.0, 4.0, 20.0])
+def test_noise_of_a_longer_path_is_that_of_slopes_per_distance_travelled(i, stretch):
+    """GIVEN a way over which ground may change as over a longer one THEN its noise is that of the latter."""
+    b, way = fresh_bank(), 1e-3
+    cov, to_way = covariance_of(b, i), np.diag([1.0, stretch, stretch**2])
+    f, _ = dense(i, way, b["wave_number"][i])
+    _, q = dense(i, stretch * way, b["wave_number"][i])
+    bank.propagate_bank(b, way, stretch * way)
+    expected = f @ cov @ f.T + to_way @ q @ to_way
+    assert covariance_of(b, i)[:2, :2] == pytest.approx(expected[:2, :2], rel=1e-5, abs=1e-12)
+
+
 @pytest.mark.parametrize("i", range(bank.N_MODELS))
 def test_looking_ahead_is_predicting(i):
     rng = np.random.default_rng(100 + i)

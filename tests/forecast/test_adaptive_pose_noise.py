@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -9,7 +10,13 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.benchmark.job_loop import BOOM, CELL, follow
+from surffollow.benchmark.job_loop import BOOM, CELL, Job, follow
+from surffollow.forecast.pose import push_pose
+from surffollow.forecast.sensing.kinematics import is_at_rest, update_kinematics
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_follow import FollowState
+
+from .feeding import default_params
 
 MS = 1_000_000
 TAU_S, STANDOFF_M = 0.04, 0.1
@@ -74,3 +81,53 @@ def test_noise_of_the_height_is_no_noise_of_the_ranges(job, speed_mps, seed):
     print(f"RMS {run.rms_m(job) / job.standoff_m:.3f} stand-offs")
     assert run.rms_m(job) < 0.05 * job.standoff_m
     assert not any(s["health"] == "STUCK" for s in run.states)
+
+
+DRONE = Job(2.0, 0.3, 0.05, 0.05, 3.0, 4.0, 0.03, (0.2, 10.0))
+
+
+@pytest.mark.parametrize("speed_taus", [0.0, 0.015])
+@pytest.mark.parametrize("job", [CELL, BOOM, DRONE], ids=["cell", "boom", "drone"])
+def test_noise_of_the_position_is_no_travel(job, speed_taus):
+    """GIVEN a place with a noise of 1 % of the stand-off WHEN the tool rests or creeps over shaking ground.
+
+    The speed was that of the noise, in changing directions: the error was up to 8 times as great. Speeds are
+    in stand-offs per τ.
+    """
+
+    def shakes(x, t):
+        slow, quick = math.sin(0.19 * t / job.tau_s), math.sin(0.31 * t / job.tau_s)
+        return job.standoff_m * (0.02 * slow + 0.03 * quick)
+
+    drive = (job, shakes, 200.0 * job.tau_s, speed_taus * job.standoff_m / job.tau_s)
+    noise_m = 0.01 * job.standoff_m
+    still, noisy = (follow(*drive, place_noise_m=n).rms_m(job) for n in (0.0, noise_m))
+    print(f"RMS {noisy / job.standoff_m:.4f} stand-offs, without noise {still / job.standoff_m:.4f}")
+    # THEN it follows as without that noise
+    assert noisy < 1.25 * still
+
+
+def test_a_tool_that_stops_is_at_rest_a_second_later_with_a_noisy_position():
+    """GIVEN a position with noise WHEN the tool stops THEN it is slow in 0.2 s, and at rest in 1 s."""
+    rng, state = np.random.default_rng(4), zeros(FollowState)[0]
+    kinematics, sense, speeds = state["adaptive"]["kinematics"], state["sense"], []
+    for k in range(300):
+        x, y = 2e-3 * min(k, 150) + 1e-3 * rng.standard_normal(), 1e-3 * rng.standard_normal()
+        push_pose(sense, 10**12 + 10 * k * MS, np.array([x, y, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
+        update_kinematics(default_params(), kinematics, sense, k == 0)
+        speeds.append(float(kinematics["speed_mps"]))
+    assert min(speeds[20:150]) > 0.1
+    assert max(speeds[170:]) < 0.12
+    assert np.mean(np.array(speeds[255:]) == 0.0) > 0.9
+
+
+def test_a_speed_near_the_limit_does_not_begin_the_path_again_and_again():
+    """GIVEN a tool whose speed scatters around that of a rest THEN it rests or moves for long times."""
+    state = zeros(FollowState)[0]
+    kinematics, sense, x, rests = state["adaptive"]["kinematics"], state["sense"], 0.0, []
+    for k in range(500):
+        x += 1e-2 * (5e-3 + 1e-3 * math.sin(0.3 * k))
+        push_pose(sense, 10**12 + 10 * k * MS, np.array([x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
+        update_kinematics(default_params(), kinematics, sense, k == 0)
+        rests.append(is_at_rest(kinematics))
+    assert sum(a != b for a, b in itertools.pairwise(rests)) <= 1

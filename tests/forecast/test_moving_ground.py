@@ -13,12 +13,12 @@ from surffollow.benchmark.job_loop import BOOM, CELL, Job, follow
 TORCH = Job(0.004, 0.03, 0.002, 0.005, 0.2, 4.0, 0.05e-3, (0.0005, 0.012))
 
 
-@pytest.mark.parametrize("speed_taus", [0.0, 0.005, 0.02])
+@pytest.mark.parametrize("speed_taus", [0.0, 0.002, 0.003, 0.005, 0.02, 0.05])
 @pytest.mark.parametrize("job", [CELL, BOOM], ids=["cell", "boom"])
 def test_a_slow_tool_follows_a_heaving_deck(job, speed_taus):
     """GIVEN a deck that heaves by 0.3 stand-offs in 50 τ WHEN the tool rests or creeps THEN it follows.
 
-    Speeds are in stand-offs per τ.
+    Speeds are in stand-offs per τ. While it crept, slopes were limited as those of ground that stays.
     """
     heave_m, period_s = 0.3 * job.standoff_m, 50.0 * job.tau_s
     speed = speed_taus * job.standoff_m / job.tau_s
@@ -28,7 +28,7 @@ def test_a_slow_tool_follows_a_heaving_deck(job, speed_taus):
 
     ours, plain = (follow(job, deck, 300.0 * job.tau_s, speed, plain) for plain in (False, True))
     print(f"RMS {1e3 * ours.rms_m(job):.2f} mm, P loop {1e3 * plain.rms_m(job):.2f} mm")
-    assert ours.rms_m(job) < (0.3 if speed_taus == 0.0 else 0.7) * plain.rms_m(job)
+    assert ours.rms_m(job) < 0.3 * plain.rms_m(job)
     assert ours.clearance_m.min() > 0.95 * job.standoff_m
 
 

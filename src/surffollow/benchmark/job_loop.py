@@ -60,6 +60,7 @@ def follow(
     drift: float = 0.0,
     place_m: Callable[[float], float] | None = None,
     height_noise_m: float = 0.0,
+    place_noise_m: float = 0.0,
     older_s: float = 0.0,
     pose_older_s: float = 0.0,
 ) -> Run:
@@ -69,7 +70,7 @@ def follow(
     `latest_s` after its time, at random; readings may overtake each other. The first tenth is left out.
     `live`: parameters that are set at a time [s]. `drift`: rate by which the sensor's clock is fast.
     `place_m`: place of the tool along its way at a time, in place of a constant speed.
-    `height_noise_m`: standard deviation of the height in a pose [m].
+    `height_noise_m`, `place_noise_m`: standard deviation of the height, of x and of y in a pose [m].
     `older_s`, `pose_older_s`: by which timestamps of readings and of poses are set back [s].
     """
     rng = np.random.default_rng(seed)
@@ -89,7 +90,9 @@ def follow(
             f.set_params(**live[1])
         if ms % pose_ms == 0:
             z_plain = z + (height_noise_m * float(rng.standard_normal()) if height_noise_m else 0.0)
-            f.pose(t_ns - round(1e9 * pose_older_s), (x, 0.0, z_plain, 0.0, 0.0, 0.0, 1.0))
+            aside = place_noise_m * rng.standard_normal(2) if place_noise_m else (0.0, 0.0)
+            pose = (x + aside[0], aside[1], z_plain, 0.0, 0.0, 0.0, 1.0)
+            f.pose(t_ns - round(1e9 * pose_older_s), pose)
         if ms % reading_ms == 0:
             r = z - ground + job.sigma_m * float(rng.standard_normal())
             r = misread(t, r, rng) if misread else r

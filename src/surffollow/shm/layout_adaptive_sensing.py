@@ -16,7 +16,7 @@ class Clock(Schema):
 class Kinematics(Schema):
     """Velocity of the tool (`kinematics`)."""
 
-    velocity_x_mps = F64(unit="m/s", doc="lateral velocity")
+    velocity_x_mps = F64(unit="m/s", doc="lateral velocity; 0 at rest")
     velocity_y_mps = F64(unit="m/s")
     speed_mps = F64(unit="m/s", doc="lateral speed")
     climb_mps = F64(unit="m/s", doc="vertical velocity")

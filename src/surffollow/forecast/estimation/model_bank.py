@@ -98,6 +98,8 @@ def propagate_bank(bank, way_m, d):
 
     Notes
     -----
+    Where d is longer, Q is that of a path of this length, on which slopes are smaller by way/d. Noise of
+    curvature stays as it is: curves do not follow ground that moves.
     Q is that of integrators without decay and oscillation, and of curvature noise its terms in the height
     (d³/6 and higher) are left out. It is right while d is a small part of the lengths λ, μ and 1/ω. Over a
     longer d slopes that decay have too great a variance: such models follow each sample. The weights come
@@ -105,6 +107,8 @@ def propagate_bank(bank, way_m, d):
     """
     compute_transition(bank, way_m)
     d2, d3 = 0.5 * d * d, d * d * d / 3.0
+    stretch = d / way_m
+    stretched_d, stretched_d2 = stretch * stretch * d, stretch * d2
     for i in range(N_MODELS):
         f01, f11, f21 = bank.f01[i], bank.f11[i], bank.f21[i]
         f02, f12, f22 = bank.f02[i], bank.f12[i], bank.f22[i]
@@ -117,8 +121,8 @@ def propagate_bank(bank, way_m, d):
         c1, c2 = f21 * p11 + f22 * p12, f21 * p12 + f22 * p22
         qs, qc = NOISE_DENSITY[1, i], NOISE_DENSITY[2, i]
         bank.p00[i] += f01 * (p01 + a1) + f02 * (p02 + a2) + NOISE_DENSITY[0, i] * d + qs * d3
-        bank.p01[i], bank.p02[i] = f11 * a1 + f12 * a2 + qs * d2, f21 * a1 + f22 * a2
-        bank.p11[i] = f11 * b1 + f12 * b2 + qs * d + qc * d3
+        bank.p01[i], bank.p02[i] = f11 * a1 + f12 * a2 + qs * stretched_d2, f21 * a1 + f22 * a2
+        bank.p11[i] = f11 * b1 + f12 * b2 + qs * stretched_d + qc * d3
         bank.p12[i] = f21 * b1 + f22 * b2 + qc * d2
         bank.p22[i] = f21 * c1 + f22 * c2 + qc * d
 

@@ -3,7 +3,14 @@
 import math
 
 from surffollow.forecast.pose import newest_pose, newest_until
-from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, MAX_GAP_NS, PAUSE_NS, follow_usual
+from surffollow.forecast.quantities import (
+    APART_M,
+    LONG_GAP_NS,
+    MAX_GAP_NS,
+    PAUSE_NS,
+    USUAL_SAMPLES,
+    follow_usual,
+)
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_follow import POSES
 
@@ -11,6 +18,7 @@ from surffollow.shm.layout_follow import POSES
 GROUND_SPEED_MPS = 0.1
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
+WAY_SCATTERS = 3.0  # usual distances of a report from its way: a shorter way is noise by chance in 1 of 100
 
 
 @jit
@@ -67,7 +75,7 @@ def note_jump(params, kinematics, sense):
     up = abs(vz - kinematics.climb_mps) * dt
     most_aside = max(0.02, params.gate_scales * kinematics.scatter_m)  # 20 mm aside are no jump
     most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, params.gate_scales * kinematics.climb_scatter_m)
-    kinematics.scatter_m = follow_usual(kinematics.scatter_m, min(aside, most_aside))
+    kinematics.scatter_m += (min(aside, most_aside) - kinematics.scatter_m) / USUAL_SAMPLES
     kinematics.climb_scatter_m = follow_usual(kinematics.climb_scatter_m, min(up, most_up))
     climbed = up > most_up
     if not climbed and aside <= most_aside:
@@ -100,6 +108,24 @@ def coast_height(kinematics, sense, report, t_ns):
 
 
 @jit
+def travel_velocity(kinematics, sense, jump_ns):
+    """Lateral velocity over 100 ms, or over 1 s where the way is hardly more than noise of the poses [m/s].
+
+    It is 0 where the longer way, too, is hardly more than noise, and where it is so much longer that the tool
+    has just stopped. Reports from before a jump at `jump_ns` do not count.
+    """
+    last, noise_m = sense.pose_count - 1, WAY_SCATTERS * kinematics.scatter_m
+    vx, vy, _, dt = velocity_between(sense, oldest_pose_within(sense, PAUSE_NS, jump_ns), last)
+    if math.hypot(vx, vy) * dt >= noise_m:
+        return vx, vy
+    vx, vy, _, long_s = velocity_between(sense, oldest_pose_within(sense, LONG_GAP_NS, jump_ns), last)
+    speed = math.hypot(vx, vy)
+    if speed * long_s < noise_m or speed * dt > 2.0 * noise_m:
+        return 0.0, 0.0
+    return vx, vy
+
+
+@jit
 def update_kinematics(params, kinematics, sense, begins):
     """Lateral and vertical velocity of the tool with a new report; returns whether it jumped.
 
@@ -113,9 +139,13 @@ def update_kinematics(params, kinematics, sense, begins):
     kinematics.coasted_m = coast_height(kinematics, sense, last - 1, newest_ns)
     if newest_ns == jump_ns:
         return jumped  # the velocity is that before the jump
-    first = oldest_pose_within(sense, PAUSE_NS, jump_ns)
-    kinematics.velocity_x_mps, kinematics.velocity_y_mps, _, _ = velocity_between(sense, first, last)
-    kinematics.speed_mps = math.sqrt(kinematics.velocity_x_mps**2 + kinematics.velocity_y_mps**2)
+    vx, vy = travel_velocity(kinematics, sense, jump_ns)
+    # it starts at twice the speed at which it stops: the path does not change again and again
+    least_mps = MIN_DIRECTION_SPEED_MPS * (2.0 if is_at_rest(kinematics) else 1.0)
+    kinematics.speed_mps = math.hypot(vx, vy)
+    if kinematics.speed_mps < least_mps:
+        kinematics.speed_mps = vx = vy = 0.0
+    kinematics.velocity_x_mps, kinematics.velocity_y_mps = vx, vy
     near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump_ns)
     _, _, kinematics.climb_mps, _ = velocity_between(sense, near, last)
     return jumped
@@ -124,7 +154,7 @@ def update_kinematics(params, kinematics, sense, begins):
 @jit
 def is_at_rest(kinematics):
     """Whether the tool has no direction of travel."""
-    return kinematics.speed_mps < MIN_DIRECTION_SPEED_MPS
+    return kinematics.speed_mps == 0.0
 
 
 @jit

@@ -7,7 +7,7 @@ from surffollow.forecast.estimation import innovation_gate, model_bank, model_we
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
 from surffollow.forecast.sensing.health import missing_s
-from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
+from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest, path_speed
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
@@ -115,8 +115,9 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
         lead_length_m *= decay
     if turned:  # along the way of the newest sample
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
-    # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre
-    max_slope = slope_limit(estimate.slope_power)
+    # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre; where
+    # the tool creeps, to the rate at which ground may move
+    max_slope = slope_limit(estimate.slope_power) * max(1.0, GROUND_SPEED_MPS / abs(speed_mps))
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     # a fall that samples have followed for so long, or over this travel, is no slot
     recent = estimate.accepted_ns - gate.step_ns < quantities.PAUSE_NS
