@@ -38,7 +38,7 @@ class Pending(Schema):
     t_ns = I64(unit="ns", doc="timestamp of the first of them")
     kept_arc_length_m = F64(PENDING_HEIGHTS, unit="m", doc="ring of their arc lengths")
     kept_height_m = F64(PENDING_HEIGHTS, unit="m", doc="and heights")
-    rejected = I64(doc="outliers in a row that did not agree with the one before")
+    rejected = I64(doc="outliers that did not agree with the one before, less the accepted samples since")
     opposed = I64(doc="of those, outliers on the other side than the one before")
     odd = I64(doc="1: the newest outlier does not agree with the pending ones, which stay")
 

@@ -22,6 +22,7 @@ from surffollow.forecast.estimation.pending_samples import (
     confirm_by,
     drop_pending,
     reject_pending,
+    reset_pending,
 )
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant.axis_model import is_long
@@ -64,14 +65,14 @@ def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m):
         drop_pending(pending)
         gate.nearer, gate.unconfirmed_m, gate.withheld_m = 0, 0.0, 0.0
     elif decision < ACCEPTED:  # it waits
-        adapt, waits_s = adapts(params, adaptive), (estimate.sample_ns - estimate.accepted_ns) * 1e-9
+        adapt, noisy_s = adapts(params, adaptive), pending.rejected * adaptive.prediction.interval_s
         if adapt and decision == WITHHELD and estimate.samples > 1:
             update_scale(gate, innovation_m)  # frequent ones mean rough ground
         _note_nearer(gate, innovation_m, decision == WITHHELD)
-        # many in a row that agree with none, and lie on both sides, are noise. After few samples the estimate
-        # itself may lie on one side of them
+        # many that agree with none, and lie on both sides, are noise. After few samples the estimate itself
+        # may lie on one side of them
         both_sides = pending.opposed >= 3 or estimate.samples < USUAL_SAMPLES
-        if adapt and waits_s > 2.0 * adaptive.plant.tau_s and pending.rejected >= 8 and both_sides:
+        if adapt and noisy_s > adaptive.plant.tau_s and pending.rejected >= 8 and both_sides:
             gate.scale_m *= 1.25
     return decision
 
@@ -187,6 +188,6 @@ def reset_gate(gate, pending, fresh):
     """Drop pending samples and the last step; scale and likelihood of slots stay but in a fresh start."""
     if fresh:
         gate.scale_m, gate.slot_likelihood = 2.0 * INITIAL_NOISE_M, 1.0
-    drop_pending(pending)
+    reset_pending(pending)
     gate.unconfirmed_m = gate.withheld_m = gate.travel_since_step_m = gate.step_m = 0.0
     gate.nearer = gate.step_ns = 0

@@ -109,6 +109,13 @@ def reject_pending(pending):
 
 
 @jit
-def drop_pending(pending):
+def reset_pending(pending):
     """Drop the pending samples, and the number of rejected ones."""
     pending.samples = pending.rejected = pending.opposed = 0
+
+
+@jit
+def drop_pending(pending):
+    """Drop the pending samples after an accepted one; in noise some are accepted by chance."""
+    pending.samples, pending.rejected = 0, max(pending.rejected - 1, 0)
+    pending.opposed = min(pending.opposed, pending.rejected)
