@@ -296,7 +296,8 @@ def test_map_commands_work_on_files(tmp_path):
     assert "?" in shown.output
     for suffix in EXPORTS:
         out = tmp_path / f"out{suffix}"
-        assert run.invoke(map_group, ["export", source, str(out)]).exit_code == 0
+        done = run.invoke(map_group, ["export", source, str(out), "--json"])
+        assert json.loads(done.stdout)["nx"] == info["nx"]
         assert out.stat().st_size > 100
     new = str(tmp_path / "new.npz")
     args = ["refocus", source, "-o", new, "--finest", "5 mm", "--json", "--", "-0.1", "0.25", "0.1", "0.4"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import subprocess
 import sys
@@ -285,11 +286,18 @@ def test_the_command_line_uploads_and_installs(client: Client, map_service: Serv
         return run_command(command)
 
     done = run("install", str(map_file))
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     again = map_file.with_name("again.txt")
-    assert run("upload", str(again)).returncode == 0
+    uploaded = json.loads(run("upload", str(again), "--json").stdout)
+    installed = json.loads(run("install", str(again), "--json").stdout)
+    for name in ("nx", "ny", "grid_m", "datum_m"):
+        assert uploaded[name] == installed[name]
+    assert uploaded["out"] == str(again)
     np.testing.assert_array_equal(HeightMap.load(map_file).counts, HeightMap.load(again).counts)
     map_file.write_text("no map\n")
+    laid = json.loads(run("reset", "0", "0", "0.1", "0.1", "--json").stdout)
+    assert (laid["state"], laid["taken"]) == ("ready", installed["taken"])
+    assert laid["nx"] * laid["grid_m"] >= 0.1
     done = run("install", str(map_file))
     assert done.returncode == 1
     assert str(map_file) in done.stderr

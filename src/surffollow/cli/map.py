@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.facts import print_facts
+from surffollow.cli.map_facts import map_facts
 from surffollow.cli.map_live import install_command, reset_command, upload_command
 from surffollow.cli.option_types import JSON, LENGTH, InputFile, SignedArguments
 from surffollow.cli.progress import progress_bar
@@ -44,44 +45,13 @@ def _load(path: str) -> HeightMap:
     return HeightMap.load(path)
 
 
-def _facts(m: HeightMap) -> dict[str, Any]:
-    import numpy as np
-
-    ny, nx = m.shape
-    heights, counts = m.heights_m, m.counts
-    known = np.isfinite(heights)
-    z = heights[known]
-    return {
-        "nx": nx,
-        "ny": ny,
-        "grid_m": m.grid_m,
-        "extent_m": list(m.extent_m),
-        "region_m": list(m.region_m),
-        "datum_m": m.datum_m,
-        "quantum_m": m.quantum_m,
-        "grids": nx * ny,
-        "known": int(known.sum()),
-        "sampled": int((counts > 0).sum()),
-        "priors": int((known & (counts == 0)).sum()),
-        "saturated": int((counts == 255).sum()),
-        "height_min_m": float(z.min()) if z.size else None,
-        "height_mean_m": float(z.mean()) if z.size else None,
-        "height_max_m": float(z.max()) if z.size else None,
-        "samples": m.samples,
-        "outside": m.outside,
-        "clipped": m.clipped,
-        "gated": m.gated,
-        "invalid": m.invalid,
-    }
-
-
 @map_group.command("info")
 @click.argument("file", type=_EXISTING)
 @JSON
 def info_command(file: str, as_json: bool) -> None:
     """Say what a map file holds."""
     m = _load(file)
-    print_facts(_facts(m), as_json, digits=9)
+    print_facts(map_facts(m), as_json, digits=9)
     warn_of_clipped(m.header)
 
 
@@ -122,7 +92,8 @@ def show_command(file: str, width: int, show_counts: bool) -> None:
 @map_group.command("export")
 @click.argument("file", type=_EXISTING)
 @click.argument("target", type=_FILE)
-def export_command(file: str, target: str) -> None:
+@JSON
+def export_command(file: str, target: str, as_json: bool) -> None:
     """Write a map as TARGET; its suffix says how.
 
     .txt .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF; .ply mesh; .xyz and .las points of known
@@ -134,6 +105,8 @@ def export_command(file: str, target: str) -> None:
     m = _load(file)
     with progress_bar("exporting") as progress:
         export(target, m.header, m.pairs, progress=progress)
+    if as_json:
+        print_facts(map_facts(m) | {"out": target}, as_json)
 
 
 @map_group.command("compose")
@@ -155,7 +128,7 @@ def compose_command(files: Sequence[str], output: str, grids: int | None, as_jso
     with progress_bar("composing") as progress:
         whole = compose([_load(f) for f in files], grids=grids, progress=progress)
     export(output, whole.header, whole.pairs)
-    print_facts(_facts(whole), as_json, digits=9)
+    print_facts(map_facts(whole), as_json, digits=9)
 
 
 @map_group.command("refocus", cls=SignedArguments)
@@ -194,7 +167,7 @@ def refocus_command(
         m.header["finest_grid_m"] = finest  # goes into the file, for the next refocus
     m.refocus(region)
     export(output, m.header, m.pairs)
-    facts = _facts(m)
+    facts = map_facts(m)
     print_facts({**facts, "grid_before_m": before, "known_before": known}, as_json, digits=9)
     if not as_json:
         click.echo(_kept_text(before, m, finest), err=True)
