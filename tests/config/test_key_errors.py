@@ -48,3 +48,18 @@ def test_a_missing_key_of_a_driver_is_named() -> None:
 def test_a_wrong_type_in_a_plant_names_the_key() -> None:
     with pytest.raises(ConfigError, match=r"plant: key tau_s: expected float, got array"):
         from_table({"tau_s": []}, PlantConfig, "plant")
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"kind": "udp", "prot": 5}, "driver 'udp': key 'prot' is unknown; did you mean 'port'?"),
+        ({"kind": "simulated", "world": {"surfce": "flat"}}, "key 'surfce' of [world] is unknown; did you"),
+        ({"kind": "serial", "bud": 1}, "driver 'serial': key 'bud' is unknown; did you mean 'baud'?"),
+        ({"kind": "none", "port": 1}, "driver 'none': key 'port' is unknown"),
+    ],
+)
+def test_a_wrong_key_of_a_driver_is_named_with_the_nearest_one(settings: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make_driver(settings, "t")
+    assert text in str(caught.value)

@@ -5,13 +5,31 @@ from __future__ import annotations
 import difflib
 import re
 import typing
+from collections.abc import Mapping
+from typing import Any
 
 import msgspec
+
+_T = typing.TypeVar("_T", bound=msgspec.Struct)
 
 _AT = r"(?: - at `\$\.?(?P<path>[^`]*)`)?$"
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>[^`]*)`" + _AT)
 _MISSING = re.compile(r"Object missing required field `(?P<key>[^`]*)`" + _AT)
 _OTHER = re.compile(r"(?P<text>Expected .*) - at `\$\.?(?P<path>[^`]+)`$")
+
+
+def convert_table(table: Mapping[str, Any], kind: type[_T]) -> _T:
+    """Convert a table to a structure; errors are in the terms of a TOML file.
+
+    Raises
+    ------
+    msgspec.ValidationError
+        its text is that of `key_error_text`
+    """
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        raise msgspec.ValidationError(key_error_text(error, kind)) from error
 
 
 def key_error_text(error: msgspec.ValidationError, kind: type[msgspec.Struct] | None = None) -> str:

@@ -11,9 +11,9 @@ import threading
 import time
 from typing import Any
 
-import msgspec
 import numpy as np
 
+from surffollow.config.key_errors import convert_table
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import ConversionQueue, Driver, DriverInfo
 from surffollow.hw.pushed_ranges import (
@@ -143,4 +143,4 @@ class ExternalDriver:
 
 def make(settings: dict[str, Any], name: str) -> Driver:
     """Make an external driver from its settings."""
-    return ExternalDriver(msgspec.convert(settings, ExternalConfig))
+    return ExternalDriver(convert_table(settings, ExternalConfig))

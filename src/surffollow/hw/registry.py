@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from surffollow.config.key_errors import key_error_text
+from surffollow.config.key_errors import convert_table, key_error_text
 from surffollow.errors import ConfigError, SurffollowError
 from surffollow.hw.calibrated import calibrated
 from surffollow.hw.calibration import load_calibration
@@ -35,16 +35,16 @@ class _Faults(msgspec.Struct, frozen=True):
 
 
 def _simulated(settings: dict[str, Any], name: str) -> Driver:
-    return SimulatedDriver(name, msgspec.convert(settings, SimulatedConfig))
+    return SimulatedDriver(name, convert_table(settings, SimulatedConfig))
 
 
 def _none(settings: dict[str, Any], name: str) -> Driver:
-    msgspec.convert(settings, _NoSettings)
+    convert_table(settings, _NoSettings)
     return SilentDriver()
 
 
 def _replay(settings: dict[str, Any], name: str) -> Driver:
-    config = msgspec.convert(settings, ReplayConfig)
+    config = convert_table(settings, ReplayConfig)
     return ReplayedDriver.from_file(config.file, config)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from surffollow.config.key_errors import convert_table
 from surffollow.errors import ConfigError, DriverError
 from surffollow.extras import install_command
 from surffollow.hw.driver import Driver, DriverInfo
@@ -134,6 +135,6 @@ def make(settings: dict[str, Any], name: str) -> Driver:
         import can  # noqa: F401
     except ImportError:
         raise ConfigError(f"driver 'can' needs python-can; install it: {install_command('can')}") from None
-    config = msgspec.convert(settings, CanConfig)
+    config = convert_table(settings, CanConfig)
     info = config.info(f"sensor on CAN bus {config.bus}", config.channels)
     return PolledDriver(info, CanSource(config, info), config.silence_s)

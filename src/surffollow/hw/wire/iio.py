@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from surffollow.config.key_errors import convert_table
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import Driver, DriverInfo, Mount, mounts_of
 from surffollow.hw.polled import PolledDriver
@@ -167,5 +168,5 @@ def describe(config: IioConfig) -> DriverInfo:
 
 def make(settings: dict[str, Any], name: str) -> Driver:
     """Make an IIO driver from its settings."""
-    config = msgspec.convert(settings, IioConfig)
+    config = convert_table(settings, IioConfig)
     return PolledDriver(describe(config), IioSource(config), config.silence_s)

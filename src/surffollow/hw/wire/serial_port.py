@@ -7,8 +7,7 @@ import os
 import time
 from typing import Any
 
-import msgspec
-
+from surffollow.config.key_errors import convert_table
 from surffollow.errors import ConfigError, DriverError
 from surffollow.extras import install_command
 from surffollow.hw.driver import Driver, DriverInfo
@@ -143,7 +142,7 @@ def make(settings: dict[str, Any], name: str) -> Driver:
         raise ConfigError(
             f"driver 'serial' needs pyserial; install it: {install_command('serial')}"
         ) from None
-    config = msgspec.convert(with_preset(settings), SerialConfig)
+    config = convert_table(with_preset(settings), SerialConfig)
     info = config.info(f"serial sensor on {config.port}", config.channels)
     return PolledDriver(info, SerialSource(config, info), config.silence_s)
 

@@ -6,8 +6,7 @@ import ipaddress
 import socket
 from typing import Any
 
-import msgspec
-
+from surffollow.config.key_errors import convert_table
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import Driver, DriverInfo
 from surffollow.hw.polled import PolledDriver
@@ -132,6 +131,6 @@ def is_own_address(host: str) -> bool:
 
 def make(settings: dict[str, Any], name: str) -> Driver:
     """Make a UDP driver from its settings."""
-    config = msgspec.convert(settings, UdpConfig)
+    config = convert_table(settings, UdpConfig)
     info = config.info(f"sensor on UDP port {config.port}", config.channels)
     return PolledDriver(info, UdpSource(config, info), config.silence_s)

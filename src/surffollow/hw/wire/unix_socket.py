@@ -10,8 +10,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
+from surffollow.config.key_errors import convert_table
 from surffollow.config.trusted_users import ROOT, UNMAPPED_USER, own_user, user_id
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import Driver, DriverInfo
@@ -141,6 +140,6 @@ def _remove_unused(path: Path) -> None:
 
 def make(settings: dict[str, Any], name: str) -> Driver:
     """Make a driver with a Unix socket from its settings."""
-    config = msgspec.convert(settings, UnixConfig)
+    config = convert_table(settings, UnixConfig)
     info = config.info(f"sensor on Unix socket {config.path}", config.channels)
     return PolledDriver(info, UnixSource(config, info), config.silence_s)
