@@ -9,7 +9,8 @@ import pytest
 
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.trials import Job, excursion
-from surffollow.forecast.estimation.model_bank import BANK, SCALE
+from surffollow.forecast.estimation.estimate import update_estimate
+from surffollow.forecast.estimation.model_bank import BANK, NOISE_DENSITY, SCALE
 from surffollow.forecast.estimation.model_weights import update_weights
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
@@ -218,3 +219,19 @@ def test_slots_and_glitches_hardly_move_the_setpoint(case):
     assert found["excursion_m"] < 0.15e-3
     assert found["missed"] == 0.0
     assert math.isfinite(found["sigma_m"])
+
+
+@pytest.mark.parametrize(("interval_s", "stretch"), [(4e-3, 10.0), (0.1, 1.0)])
+def test_slopes_of_ground_that_moves_are_not_expected_of_a_slow_sensor(interval_s, stretch):
+    """GIVEN a tool that creeps at 10 mm/s THEN noise of slopes is that at 100 mm/s for a quick sensor only.
+
+    A slow one that was blocked led the tool into the ground.
+    """
+    a, t_ns = zeros(AdaptiveState)[0], 10**9
+    a["kinematics"]["speed_mps"], a["plant"]["tau_s"], a["prediction"]["interval_s"] = 0.01, 0.04, interval_s
+    update_estimate(default_params(), a, t_ns, 0.0, 0.0, 0.1)
+    a["bank"]["p11"] = 0.0
+    update_estimate(default_params(), a, t_ns + int(1e9 * interval_s), 0.01 * interval_s, 0.0, 0.1)
+    i = 4  # a slope that does not decay
+    noise = NOISE_DENSITY[1, i] * 0.1 * interval_s
+    assert a["bank"]["p11"][i] == pytest.approx(noise * stretch**2, rel=0.3)

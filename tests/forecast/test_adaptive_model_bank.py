@@ -71,7 +71,7 @@ def test_every_model_is_its_dense_kalman_filter(i):
         d, h, r = rng.uniform(0.0, 3e-3), 0.01 + 0.002 * rng.standard_normal(), 1e-7
         f, q = dense(i, d, b["wave_number"][i])
         state, cov = f @ state, f @ cov @ f.T + q
-        bank.propagate_bank(b, *2 * (d,))
+        bank.propagate_bank(b, *2 * (d,), 1.0)
         assert mean_of(b, i) == pytest.approx(state, rel=1e-6, abs=1e-9)
         gain = cov @ row / (row @ cov @ row + r)
         state, cov = state + gain * (h - row @ state), cov - np.outer(gain, row @ cov)
@@ -88,7 +88,7 @@ def test_noise_of_a_longer_path_is_that_of_slopes_per_distance_travelled(i, stre
     cov, to_way = covariance_of(b, i), np.diag([1.0, stretch, stretch**2])
     f, _ = dense(i, way, b["wave_number"][i])
     _, q = dense(i, stretch * way, b["wave_number"][i])
-    bank.propagate_bank(b, way, stretch * way)
+    bank.propagate_bank(b, way, stretch * way, stretch)
     expected = f @ cov @ f.T + to_way @ q @ to_way
     assert covariance_of(b, i)[:2, :2] == pytest.approx(expected[:2, :2], rel=1e-5, abs=1e-12)
 
@@ -106,7 +106,7 @@ def test_looking_ahead_is_predicting(i):
     rise_m, slope, bend = (float(b[name][i]) for name in ("rise_m", "slope_ahead", "bend_ahead"))
     bank.extrapolate_bank(b, 0.012 + 1e-7)
     assert bend == pytest.approx((float(b["slope_ahead"][i]) - slope) / 1e-7, rel=1e-3, abs=1e-7)
-    bank.propagate_bank(b, *2 * (0.012,))
+    bank.propagate_bank(b, *2 * (0.012,), 1.0)
     assert before + rise_m == pytest.approx(b["height_m"][i], abs=1e-12)
     assert slope == pytest.approx(b["slope"][i], abs=1e-12)
 
@@ -116,7 +116,7 @@ def follow_wave(length_m, travel_m, adapts=True, noise_m=2e-4):
     rng, b, d = np.random.default_rng(3), fresh_bank(), 4e-4
     errors = []
     for k in range(int(travel_m / d)):
-        bank.propagate_bank(b, *2 * (d,))
+        bank.propagate_bank(b, *2 * (d,), 1.0)
         height_m = 0.01 + 5e-3 * math.sin(2.0 * math.pi * k * d / length_m)
         measured_m = height_m + noise_m * rng.standard_normal()
         if adapts:
@@ -160,7 +160,7 @@ def test_wave_numbers_stay_in_their_bands_and_survive_a_restart():
 
 def test_adapting_a_wave_number_keeps_phase_and_amplitude():
     b = fresh_bank()
-    bank.propagate_bank(b, *2 * (1e-3,))
+    bank.propagate_bank(b, *2 * (1e-3,), 1.0)
     waves = slice(bank.WAVES, bank.N_MODELS)
     b["slope"][waves], b["curvature"][waves] = 0.1, -3.0
     before = b.copy()
@@ -175,7 +175,7 @@ def test_a_reversed_bank_goes_back_over_the_same_ground():
     """GIVEN updated models WHEN the direction is reversed THEN both extrapolate the same heights."""
     rng, b = np.random.default_rng(7), fresh_bank()
     for _ in range(40):
-        bank.propagate_bank(b, *2 * (rng.uniform(0.0, 3e-3),))
+        bank.propagate_bank(b, *2 * (rng.uniform(0.0, 3e-3),), 1.0)
         bank.update_bank(b, 0.01 + 0.002 * rng.standard_normal(), 1e-7)
     back = b.copy()
     bank.turn_bank(back, -1.0)
@@ -195,7 +195,7 @@ def test_a_way_at_a_right_angle_has_slopes_as_unknown_as_at_the_start():
     start = fresh_bank()
     b, rng = start.copy(), np.random.default_rng(9)
     for _ in range(40):
-        bank.propagate_bank(b, *2 * (1e-3,))
+        bank.propagate_bank(b, *2 * (1e-3,), 1.0)
         bank.update_bank(b, 0.01 + 1e-4 * rng.standard_normal(), 1e-8)
     oblique = b.copy()
     bank.turn_bank(b, 0.0)

@@ -54,17 +54,18 @@ def test_without_a_demand_it_is_at_rest_in_the_stated_time_and_within_the_stated
     assert float(core.motion["axis"][0, 0]) == pytest.approx(z_m + retract_m, abs=1e-3 + late_m)
 
 
-def test_losses_in_a_row_do_not_lead_the_tool_out_of_its_window() -> None:
+@pytest.mark.parametrize("latency_s", [0.0, 0.05])
+def test_losses_in_a_row_do_not_lead_the_tool_out_of_its_window(latency_s: float) -> None:
     """GIVEN a demand that is lost again before the tool is back THEN it retracts no farther.
 
     On a busy machine a tool climbed out of its sensor's window, and stayed there.
     """
-    core, controller, service = robot(seconds=60.0, retract_m=0.02)
+    core, controller, service = robot(seconds=60.0, retract_m=0.02, report_latency_s=latency_s)
     drive(core, controller, 300)
     heights: list[float] = []
-    for _ in range(20):
+    for lost_ticks in [10] * 10 + [2] * 30:
         service.silent = True
-        drive(core, controller, 10, lambda: heights.append(core.standoff_m))
+        drive(core, controller, lost_ticks, lambda: heights.append(core.standoff_m))
         service.silent = False
         drive(core, controller, 2)
     assert max(heights) == pytest.approx(core.desired_m + 0.02, abs=1e-3)

@@ -25,6 +25,7 @@ class Kinematics(Schema):
     climb_jump_ns = I64(unit="ns", doc="the same of the height")
     scatter_m = F64(unit="m", doc="usual lateral distance of a report from where the velocity leads")
     climb_scatter_m = F64(unit="m", doc="the same of the height")
+    noise_m = F64(unit="m", doc="as `scatter_m`, but from 0: noise of the position")
 
 
 class Hold(Schema):

@@ -159,7 +159,7 @@ class RobotCore(CommandedRobot):
         report = self._reports.sent[pose_t_ns]
         self.motion["setpoint_m"] = setpoint_for(float(report[2]), demand_m)
         self._near = self._near + 1 if demand_m > -SETTLED_M else 0
-        if self._near >= SETTLED_TICKS or report[2] <= self._retracted_from_m:
+        if self._near >= SETTLED_TICKS:
             self._retracted_from_m = math.inf
         settled = abs(demand_m) < SETTLED_M
         if self.config.turn:

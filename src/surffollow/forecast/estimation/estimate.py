@@ -152,7 +152,9 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     # ground that moves changes at least as much as other ground does over this distance
     moved_m = max(travel, GROUND_SPEED_MPS * dt)
     way = moved_m if rests else travel
-    model_bank.propagate_bank(bank, way, moved_m)
+    # what a slow sensor sees of ground that moves is too little to follow it
+    stretch = 1.0 if innovation_gate.is_slow(adaptive) else moved_m / way
+    model_bank.propagate_bank(bank, way, moved_m, stretch)
     estimate.height_m = model_weights.blended(adaptive, bank.height_m)
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
@@ -183,7 +185,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     model_bank.update_bank(bank, h_m, r)
     blend_models(adaptive)
     innovation_gate.note_remainder(params, adaptive, h_m - estimate.height_m)
-    share = 1.0 - math.exp(-way / 1.0)  # a mean over a metre
+    share = 1.0 - math.exp(-stretch * way / 1.0)  # a mean over a metre
     estimate.slope_power += share * (estimate.slope * estimate.slope - estimate.slope_power)
     quick = bank.slope[model_bank.QUICK]
     estimate.quick_slope_power += share * (quick * quick - estimate.quick_slope_power)

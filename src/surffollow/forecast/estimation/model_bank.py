@@ -87,7 +87,7 @@ def compute_transition(bank, d_m):
 
 
 @jit_inlined
-def propagate_bank(bank, way_m, d):
+def propagate_bank(bank, way_m, d, stretch):
     """Propagate all models: x ← F x, P ← F P Fᵀ + Q.
 
     Parameters
@@ -95,11 +95,11 @@ def propagate_bank(bank, way_m, d):
     bank : record of `Bank` (updated)
     way_m : float64  length of the path, in F [m]
     d : float64      length in Q: that, or more where the ground may have moved [m]
+    stretch : float64  noise of slopes is that on a path so many times as long, on which they are less steep
 
     Notes
     -----
-    Where d is longer, Q is that of a path of this length, on which slopes are smaller by way/d. Noise of
-    curvature stays as it is: curves do not follow ground that moves.
+    Noise of curvature is not stretched: curves do not follow ground that moves.
     Q is that of integrators without decay and oscillation, and of curvature noise its terms in the height
     (d³/6 and higher) are left out. It is right while d is a small part of the lengths λ, μ and 1/ω. Over a
     longer d slopes that decay have too great a variance: such models follow each sample. The weights come
@@ -107,7 +107,6 @@ def propagate_bank(bank, way_m, d):
     """
     compute_transition(bank, way_m)
     d2, d3 = 0.5 * d * d, d * d * d / 3.0
-    stretch = d / way_m
     stretched_d, stretched_d2 = stretch * stretch * d, stretch * d2
     for i in range(N_MODELS):
         f01, f11, f21 = bank.f01[i], bank.f11[i], bank.f21[i]

@@ -18,6 +18,7 @@ from surffollow.shm.layout_follow import POSES
 GROUND_SPEED_MPS = 0.1
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
+LONG_MEAN = 3  # times 100 ms
 WAY_SCATTERS = 3.0  # usual distances of a report from its way: a shorter way is noise by chance in 1 of 100
 
 
@@ -75,7 +76,9 @@ def note_jump(params, kinematics, sense):
     up = abs(vz - kinematics.climb_mps) * dt
     most_aside = max(0.02, params.gate_scales * kinematics.scatter_m)  # 20 mm aside are no jump
     most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, params.gate_scales * kinematics.climb_scatter_m)
-    kinematics.scatter_m += (min(aside, most_aside) - kinematics.scatter_m) / USUAL_SAMPLES
+    kinematics.scatter_m = follow_usual(kinematics.scatter_m, min(aside, most_aside))
+    # from 0: a first report that starts or stops the tool is no noise
+    kinematics.noise_m += (min(aside, most_aside) - kinematics.noise_m) / USUAL_SAMPLES
     kinematics.climb_scatter_m = follow_usual(kinematics.climb_scatter_m, min(up, most_up))
     climbed = up > most_up
     if not climbed and aside <= most_aside:
@@ -109,18 +112,21 @@ def coast_height(kinematics, sense, report, t_ns):
 
 @jit
 def travel_velocity(kinematics, sense, jump_ns):
-    """Lateral velocity over 100 ms, or over 1 s where the way is hardly more than noise of the poses [m/s].
+    """Lateral velocity over 100 ms, or 300 ms where the way is hardly more than noise of the poses [m/s].
 
     It is 0 where the longer way, too, is hardly more than noise, and where it is so much longer that the tool
     has just stopped. Reports from before a jump at `jump_ns` do not count.
     """
-    last, noise_m = sense.pose_count - 1, WAY_SCATTERS * kinematics.scatter_m
+    last, noise_m = sense.pose_count - 1, WAY_SCATTERS * kinematics.noise_m
     vx, vy, _, dt = velocity_between(sense, oldest_pose_within(sense, PAUSE_NS, jump_ns), last)
     if math.hypot(vx, vy) * dt >= noise_m:
         return vx, vy
-    vx, vy, _, long_s = velocity_between(sense, oldest_pose_within(sense, LONG_GAP_NS, jump_ns), last)
+    first = oldest_pose_within(sense, LONG_MEAN * PAUSE_NS, jump_ns)
+    vx, vy, _, long_s = velocity_between(sense, first, last)
     speed = math.hypot(vx, vy)
-    if speed * long_s < noise_m or speed * dt > 2.0 * noise_m:
+    # it starts with twice the way with which it stops
+    least_m = 2.0 * noise_m if is_at_rest(kinematics) else noise_m
+    if speed * long_s < least_m or speed * dt > 2.0 * noise_m:
         return 0.0, 0.0
     return vx, vy
 
@@ -141,7 +147,7 @@ def update_kinematics(params, kinematics, sense, begins):
         return jumped  # the velocity is that before the jump
     vx, vy = travel_velocity(kinematics, sense, jump_ns)
     # it starts at twice the speed at which it stops: the path does not change again and again
-    least_mps = MIN_DIRECTION_SPEED_MPS * (2.0 if is_at_rest(kinematics) else 1.0)
+    least_mps = MIN_DIRECTION_SPEED_MPS * (1.0 if is_at_rest(kinematics) else 0.5)
     kinematics.speed_mps = math.hypot(vx, vy)
     if kinematics.speed_mps < least_mps:
         kinematics.speed_mps = vx = vy = 0.0

@@ -117,7 +117,8 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
     # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre; where
     # the tool creeps, to the rate at which ground may move
-    max_slope = slope_limit(estimate.slope_power) * max(1.0, GROUND_SPEED_MPS / abs(speed_mps))
+    creeps = 1.0 if innovation_gate.is_slow(adaptive) else max(GROUND_SPEED_MPS / abs(speed_mps), 1.0)
+    max_slope = max(creeps * quantities.PLAUSIBLE_SLOPE, slope_limit(estimate.slope_power))
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     # a fall that samples have followed for so long, or over this travel, is no slot
     recent = estimate.accepted_ns - gate.step_ns < quantities.PAUSE_NS
