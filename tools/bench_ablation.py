@@ -82,8 +82,16 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "settling after a start or a loss": [("estimate", "t_ns + 60_000_000", "t_ns + 0")],
     "clamp of the slope": [
-        ("setpoint_blend", "max_slope = slope_limit(estimate.slope_power)", "max_slope = 1e6")
+        ("setpoint_blend", "max_slope = max(creeps * quantities.PLAUSIBLE_SLOPE,", "max_slope = max(1e6,")
     ],
+    "noise of a longer path": [
+        (
+            "estimate",
+            "stretch = 1.0 if innovation_gate.is_slow(adaptive) else moved_m / way",
+            "stretch = 1.0",
+        )
+    ],
+    "wider gate where noise grows": [("innovation_gate", "gate.scale_m *= 1.25", "gate.scale_m *= 1.0")],
     "step taken back in a loss": [
         (
             "setpoint_blend",
