@@ -28,7 +28,7 @@ def test_a_slow_tool_follows_a_heaving_deck(job, speed_taus):
 
     ours, plain = (follow(job, deck, 300.0 * job.tau_s, speed, plain) for plain in (False, True))
     print(f"RMS {1e3 * ours.rms_m(job):.2f} mm, P loop {1e3 * plain.rms_m(job):.2f} mm")
-    assert ours.rms_m(job) < 0.35 * plain.rms_m(job)
+    assert ours.rms_m(job) < (0.3 if speed_taus == 0.0 else 0.35) * plain.rms_m(job)
     assert ours.clearance_m.min() > 0.95 * job.standoff_m
 
 
