@@ -162,10 +162,10 @@ class Rig:
         assert self.controller is not None
         z_m = float(self.core.motion["axis"][0, 0])
         late_s = 1e-9 * (time.monotonic_ns() - self.core.t_ns)
-        said = self.service.run("status").stdout
+        status = self.service.run("status")
         return (
             f"tool at {z_m:.4f} m, {'holding' if self.core.holding else 'following'}, {late_s:.3f} s late; "
-            f"exit code of the controller {self.controller.poll()}; service:\n{said}"
+            f"exit code of the controller {self.controller.poll()}; service:\n{status.stdout}{status.stderr}"
         )
 
     def close(self) -> None:

@@ -56,7 +56,7 @@ def test_a_wrong_type_in_a_plant_names_the_key() -> None:
         ({"kind": "udp", "prot": 5}, "driver 'udp': key 'prot' is unknown; did you mean 'port'?"),
         ({"kind": "simulated", "world": {"surfce": "flat"}}, "key 'surfce' of [world] is unknown; did you"),
         ({"kind": "serial", "bud": 1}, "driver 'serial': key 'bud' is unknown; did you mean 'baud'?"),
-        ({"kind": "none", "port": 1}, "driver 'none': key 'port' is unknown"),
+        ({"kind": "none", "port": 1}, "driver 'none': key 'port' is unknown; it has no keys"),
     ],
 )
 def test_a_wrong_key_of_a_driver_is_named_with_the_nearest_one(settings: dict[str, Any], text: str) -> None:

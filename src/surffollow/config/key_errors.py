@@ -66,6 +66,8 @@ def _hint(key: str, path: str | None, kind: type[msgspec.Struct] | None) -> str:
     if table is None:
         return ""
     keys = [field.encode_name for field in msgspec.structs.fields(table)]
+    if not keys:
+        return "; it has no keys"
     near = difflib.get_close_matches(key, keys, n=1)
     return f"; did you mean {near[0]!r}?" if near else f"; the keys are {', '.join(keys)}"
 
