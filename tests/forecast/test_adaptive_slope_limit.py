@@ -51,6 +51,19 @@ def test_a_model_asks_for_no_more_than_the_steepest_ground_allows(
 
 
 @pytest.mark.parametrize(
+    ("speed_mps", "interval_s", "steepest"),
+    [(0.2, 0.004, 0.2), (0.1, 0.004, 0.2), (0.02, 0.004, 1.0), (0.02, 0.1, 0.2)],
+)
+def test_ground_may_move_under_a_tool_that_creeps_unless_the_sensor_is_slow(speed_mps, interval_s, steepest):
+    """GIVEN models on a steep slope THEN it is limited to 20 %, below 100 mm/s to 20 % of 100 mm/s."""
+    a, tau_s = planes(3.0), 0.04
+    a["kinematics"]["speed_mps"], a["plant"]["tau_s"] = speed_mps, tau_s
+    a["prediction"]["interval_s"] = interval_s
+    blend_setpoints(default_params(), a, 0.0, 0.1)
+    assert a["blend"]["model_m"][2] - 2.1 == pytest.approx(1e-3 + steepest * speed_mps * tau_s, rel=1e-6)
+
+
+@pytest.mark.parametrize(
     ("trail_m", "interval_s", "ahead_m", "lead_m", "level_m"),
     [
         (0.0, 0.004, 0.05, 0.008, 0.0),
