@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.quantities import APART_M, REPEAT_BAND, SLOW_RATE
+from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, REPEAT_BAND, SLOW_RATE
 from surffollow.forecast.sensing import constant_ranges as c
 from surffollow.forecast.sensing import mean_range as m
 from surffollow.forecast.sensing import response as r
@@ -155,8 +155,8 @@ class NaiveResponse:
         motion_m = r.ASCENT_SHARE * ascent_m if rises else descent_m
         ahead = abs(self.lead_m) >= APART_M
         error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
-        slow_s = self.interval_s if self.number <= m.MIN_READINGS else 0.0
-        no_lag = error_m > m.LAG_TAUS * (self.tau_s + slow_s) * rate_mps
+        level_s = LEVEL_SHARE * self.interval_s if self.number <= m.MIN_READINGS else 0.0
+        no_lag = error_m > (m.LAG_TAUS * self.tau_s + level_s) * rate_mps
         work = error_m * motion_m / (self.band_m * self.standoff_m)
         unusual = error_m > c.USUAL_ERRORS * self.usual_error_m
         wrong = unusual and error_m > self.band_m and no_lag and work > m.ERROR_MOTION
@@ -178,7 +178,8 @@ class NaiveResponse:
             room_m = min(r.MAX_DESCENT * self.standoff_m - taken_m, c.SHIFT_DESCENT * self.standoff_m)
             higher_m = self.proven_m - self.standoff_m if self.number > m.MIN_READINGS else 0.0
             least_m = max(least_m, room_m + higher_m)
-        if self.in_run <= (1.0 if steep else c.MIN_MEANS) * self.number:
+        waits = 2.0 if comes_back and not few else 1.0
+        if self.in_run <= waits * (1.0 if steep else c.MIN_MEANS) * self.number:
             return
         if rises and self.number <= m.MIN_READINGS and not repeats:
             return
@@ -194,6 +195,9 @@ class NaiveResponse:
             suspicious, sign = False, descent_m > least_m and t_ns >= self.settled_ns
         if self.shift_ns is None and ((long and sign) or ((steep or comes_back) and descent_m > least_m)):
             self.shift_ns, self.lift_m = t_ns, (1.0 if steep else 0.5) * c.MOTION_BANDS * self.band_m
+            came_back = t_ns - int(1e9 * self.in_run * self.interval_s) < self.settled_ns
+            if came_back and not rises and not ahead:
+                self.lift_m += max(self.run_m - self.standoff_m, 0.0)
             self.shift_z_m, self.shift_lead_m = z_m, self._lead_m(z_m)
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > wait_s
         self.rose = rises

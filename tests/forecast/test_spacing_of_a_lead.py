@@ -13,7 +13,7 @@ STANDOFF_M, TAU_S, LEAD_M, SPEED_MPS = 0.1, 0.04, 0.08, 0.5
 MS = 1_000_000
 
 
-@pytest.mark.parametrize("interval_ms", [8, 20, 40])
+@pytest.mark.parametrize("interval_ms", [8, 11, 13, 14, 15, 16, 20, 40])
 @pytest.mark.parametrize("channels", [1, 2])
 def test_a_lead_is_used_whatever_the_travel_between_its_samples(interval_ms: int, channels: int) -> None:
     """GIVEN a sensor 80 mm ahead WHEN 4 to 20 mm lie between two samples THEN the error is small."""

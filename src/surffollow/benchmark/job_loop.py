@@ -63,6 +63,7 @@ def follow(
     place_noise_m: float = 0.0,
     older_s: float = 0.0,
     pose_older_s: float = 0.0,
+    ahead_m: float = 0.0,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
@@ -72,11 +73,12 @@ def follow(
     `place_m`: place of the tool along its way at a time, in place of a constant speed.
     `height_noise_m`, `place_noise_m`: standard deviation of the height, of x and of y in a pose [m].
     `older_s`, `pose_older_s`: by which timestamps of readings and of poses are set back [s].
+    `ahead_m`: distance of the sensor ahead of the tool [m].
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
     near_m, far_m = job.window_m
-    sensors = [{"near_m": near_m, "far_m": far_m}]
+    sensors = [{"near_m": near_m, "far_m": far_m, "position_m": (ahead_m, 0.0, 0.0)}]
     f = Follower({"plant": plant, "sensors": sensors}, offset_m=job.standoff_m)
     z = z_plain = ground_m(0.0, 0.0) + job.standoff_m
     v, target, dt, clearance, states, coming = 0.0, z, 1e-3, [], [], []
@@ -94,7 +96,8 @@ def follow(
             pose = (x + aside[0], aside[1], z_plain, 0.0, 0.0, 0.0, 1.0)
             f.pose(t_ns - round(1e9 * pose_older_s), pose)
         if ms % reading_ms == 0:
-            r = z - ground + job.sigma_m * float(rng.standard_normal())
+            seen = ground_m(x + ahead_m, t) if ahead_m else ground
+            r = z - seen + job.sigma_m * float(rng.standard_normal())
             r = misread(t, r, rng) if misread else r
             r = r if near_m < r < far_m else math.nan
             stamp_ns = t_ns + round(drift * ms * 1_000_000) - round(1e9 * older_s)

@@ -12,7 +12,7 @@ from surffollow.forecast.plant import axis_model, controller_clock, plant_identi
 from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
 from surffollow.forecast.setpoint import preview_control, setpoint_blend, setpoint_limits, tested_setpoint
-from surffollow.forecast.terrain import known_ground, lookahead_sensor, preview
+from surffollow.forecast.terrain import known_ground, lookahead_sensor, preview, terrain_buffer
 from surffollow.shm import layout_adaptive
 from surffollow.shm import layout_follow as layout
 from surffollow.shm.jit import jit, jit_inlined
@@ -29,7 +29,7 @@ def distance_ahead(adaptive, sense, age_s):
     """
     motion = adaptive.kinematics
     if kinematics.is_at_rest(motion):
-        return 0.0
+        return -adaptive.sample.lead_m if terrain_buffer.sensor_leads(adaptive) else 0.0
     lead_m = measurement.footprint_lead(adaptive, sense.pose, 7 * newest_pose(sense))
     return motion.speed_mps * age_s - lead_m
 

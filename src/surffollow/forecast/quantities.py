@@ -18,6 +18,7 @@ USUAL_SAMPLES = 20  # in the usual value of a delay, an interval, a distance, a 
 QUICK_RATE, SLOW_RATE = 0.02, 0.004  # of means over 50 and 250 samples or reports
 FULL_POWER_SAMPLES = 500  # for the full power of the performance index; a rest of the tool is concluded
 PLAUSIBLE_SLOPE = 0.2  # of ground that nothing is known of
+LEVEL_SHARE = 0.5  # of the travel since the newest sample of a slow sensor: ground that falls is level there
 MAX_SLOPE = 3.0  # 72 degrees: steeper is no surface that a tool follows
 APART_M = 5e-3  # footprints so far apart are of two places: one leads, is off the path, gives a slope
 REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance

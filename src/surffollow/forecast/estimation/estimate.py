@@ -7,7 +7,7 @@ from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
 from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, MIN_DIRECTION_SPEED_MPS, is_at_rest
-from surffollow.forecast.terrain.terrain_buffer import store_ground_under
+from surffollow.forecast.terrain.terrain_buffer import sensor_leads, store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, N_MODELS, PENDING_HEIGHTS, RESTART, STEP
 
@@ -145,7 +145,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     over_ns = t_ns - int(shadow_axes.compared_lag_s(adaptive) * 1e9)
     comparable = shadow_axes.propagate_shadows(params, adaptive, over_ns)
     estimate.sample_ns = t_ns
-    estimate.arc_length_m += travel
+    estimate.arc_length_m += travel_m if sensor_leads(adaptive) else travel
     rests = is_at_rest(kinematics)
     if rests != (estimate.rests != 0):
         change_path(adaptive, rests)

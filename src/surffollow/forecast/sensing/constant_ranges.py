@@ -7,7 +7,7 @@ with a sign of a fault is tested (`response`).
 """
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
-from surffollow.forecast.quantities import APART_M, SLOW_RATE
+from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, SLOW_RATE
 from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.repeated_ranges import is_repeated
 from surffollow.shm.jit import jit
@@ -115,8 +115,8 @@ def sign_of_fault(adaptive, motion_m):
     """
     run, lag_s, band_m = adaptive.run, adaptive.plant.tau_s, mean_range.range_band_m(adaptive)
     number = mean_range.mean_samples(adaptive)
-    if number <= mean_range.MIN_READINGS:  # over falling ground a slow sensor is late by part of its interval
-        lag_s += adaptive.prediction.interval_s
+    if number <= mean_range.MIN_READINGS:  # over falling ground the tool is late by part of the interval
+        lag_s += LEVEL_SHARE / mean_range.LAG_TAUS * adaptive.prediction.interval_s
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0

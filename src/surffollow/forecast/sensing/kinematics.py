@@ -114,16 +114,19 @@ def coast_height(kinematics, sense, report, t_ns):
 def travel_velocity(kinematics, sense, jump_ns):
     """Lateral velocity over 100 ms, or 300 ms where the way is hardly more than noise of the poses [m/s].
 
-    It is 0 where the longer way, too, is hardly more than noise, and where it is so much longer that the tool
-    has just stopped. Reports from before a jump at `jump_ns` do not count.
+    The longer mean decides on that: the shorter one would be taken where noise makes it too great. It is 0
+    where the longer way, too, is hardly more than noise, and where it is so much longer that the tool has
+    just stopped. Reports from before a jump at `jump_ns` do not count.
     """
     last, noise_m = sense.pose_count - 1, WAY_SCATTERS * kinematics.noise_m
-    vx, vy, _, dt = velocity_between(sense, oldest_pose_within(sense, PAUSE_NS, jump_ns), last)
-    if math.hypot(vx, vy) * dt >= noise_m:
-        return vx, vy
+    short_x, short_y, _, dt = velocity_between(sense, oldest_pose_within(sense, PAUSE_NS, jump_ns), last)
+    if math.hypot(short_x, short_y) * dt >= 2.0 * noise_m:
+        return short_x, short_y
     first = oldest_pose_within(sense, LONG_MEAN * PAUSE_NS, jump_ns)
     vx, vy, _, long_s = velocity_between(sense, first, last)
     speed = math.hypot(vx, vy)
+    if speed * dt >= noise_m and math.hypot(short_x, short_y) * dt >= 0.5 * noise_m:
+        return short_x, short_y
     # it starts with twice the way with which it stops
     least_m = 2.0 * noise_m if is_at_rest(kinematics) else noise_m
     if speed * long_s < least_m or speed * dt > 2.0 * noise_m:

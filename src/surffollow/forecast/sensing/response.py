@@ -11,7 +11,7 @@ must then change by more than it varied.
 """
 
 from surffollow.forecast.estimation.noise import range_noise_m
-from surffollow.forecast.quantities import tolerated_gap_s
+from surffollow.forecast.quantities import APART_M, tolerated_gap_s
 from surffollow.forecast.sensing import constant_ranges, mean_range
 from surffollow.forecast.sensing.constant_ranges import MAX_DESCENT, MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
@@ -117,6 +117,8 @@ def _update_run(params, adaptive, tool_z_m):
         sign = SIGN_FOR_SHIFT if descent > least_m else NO_SIGN
     if response.t_ns < response.settled_ns and not repeated:
         sign = NO_SIGN
+    if returns and not sparse:
+        means *= 2.0  # a tool that comes back shortens the range meanwhile: that is an answer without a test
     if run.samples <= means * number or (rises and sparse and not repeated):
         return
     response.rises = 1 if rises else 0
@@ -125,6 +127,11 @@ def _update_run(params, adaptive, tool_z_m):
     if response.lift_m == 0.0 and (long or ((steep or returns) and descent > least_m)):
         _begin_phase(response, RESPONSE_RUN, tool_z_m)
         response.lift_m = (1.0 if steep else 0.5) * MOTION_BANDS * band_m
+        begun_ns = response.t_ns - int(1e9 * run.samples * adaptive.prediction.interval_s)
+        below = abs(adaptive.sample.lead_m) < APART_M  # the range of a lead has the slope in it
+        if not rises and below and begun_ns < response.settled_ns:
+            # the run began while the tool came back from a test: what is left of that would hide the answer
+            response.lift_m += max(run.range_m - params.offset_m, 0.0)
         response.lead_m = _excess_lead_m(adaptive, tool_z_m)
     late = response.lift_m > 0.0 and (response.t_ns - response.test_ns) * 1e-9 > wait_s
     if rises:

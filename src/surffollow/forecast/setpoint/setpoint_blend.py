@@ -52,7 +52,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     if innovation_gate.is_slow(adaptive):
         # with 0 valleys cost 17 instead of 3 mm of clearance (bench_hazards.py, "valley and slow"), with 1 a
         # winch's error is 15 % greater (bench_scales.py)
-        unseen_m, steepest = max(unseen_m, 0.5 * ahead_m), math.inf
+        unseen_m, steepest = max(unseen_m, quantities.LEVEL_SHARE * ahead_m), math.inf
     # a tool that goes back comes to ground that was seen
     level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
     slope, curvature, omega = bank.slope, bank.curvature, bank.wave_number

@@ -8,7 +8,8 @@ import math
 
 from surffollow.forecast.plant.axis_model import is_long
 from surffollow.forecast.quantities import APART_M, QUICK_RATE, SLOW_RATE
-from surffollow.forecast.terrain.terrain_buffer import CELL_M, buffered_height, sensor_leads
+from surffollow.forecast.sensing.kinematics import path_speed
+from surffollow.forecast.terrain.terrain_buffer import CELL_M, buffered_height, height_at, sensor_leads
 from surffollow.shm.jit import jit
 
 DISAGREEMENT_M = 1.5e-3  # heights of one place that differ by more disagree, but for noise
@@ -41,6 +42,18 @@ def known_height(adaptive, inputs, s_m, ahead_m):
         return math.nan
     i = int(f)
     return inputs.preview_m[i] * (1.0 - (f - i)) + inputs.preview_m[i + 1] * (f - i)
+
+
+@jit
+def height_at_rest(adaptive, s_m):
+    """Height under a tool that rests behind its only sensor [m]; NaN where it is not known, or moves.
+
+    The sensor measured it before. It moves where the height ahead differs from that of before, or will in τ.
+    """
+    estimate, before_m = adaptive.estimate, height_at(adaptive, adaptive.estimate.arc_length_m)
+    moves_m = abs(estimate.slope) * path_speed(adaptive.kinematics) * adaptive.plant.tau_s
+    stays = abs(estimate.height_m - before_m) + moves_m < disagreement_m(adaptive)
+    return height_at(adaptive, s_m) if stays else math.nan
 
 
 @jit

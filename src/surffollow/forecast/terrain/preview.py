@@ -86,6 +86,9 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
     known, ground, leads = adaptive.known, adaptive.preview.ground_m, terrain_buffer.sensor_leads(adaptive)
     if not leads and adaptive.estimate.arc_length_m < known.trusted_from_m:
         return 0
+    if leads and adaptive.kinematics.speed_mps == 0.0:
+        ground[:] = known_ground.height_at_rest(adaptive, s_m)
+        return HORIZON if math.isfinite(ground[0]) else 0
     bias_m, periods = 0.0 if leads else known.bias_m[known_ground.known_source(adaptive)], 0
     for k in range(HORIZON):
         travel = adaptive.kinematics.speed_mps * PERIOD_S * k

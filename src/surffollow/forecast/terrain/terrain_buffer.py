@@ -17,10 +17,10 @@ FILLED_CELLS = BUFFER_CELLS // 8  # … but for those of the usual travel betwee
 @jit
 def point_at(adaptive, s_m):
     """Point of the path at an arc length, straight through the newest footprint [m]."""
-    kinematics, sample = adaptive.kinematics, adaptive.sample
+    kinematics, sample, d = adaptive.kinematics, adaptive.sample, s_m - adaptive.estimate.arc_length_m
     if kinematics.speed_mps == 0.0:
-        return sample.x_m, sample.y_m
-    t = (s_m - adaptive.estimate.arc_length_m) / kinematics.speed_mps
+        return sample.x_m + d * sample.heading_x, sample.y_m + d * sample.heading_y
+    t = d / kinematics.speed_mps
     return sample.x_m + t * kinematics.velocity_x_mps, sample.y_m + t * kinematics.velocity_y_mps
 
 
@@ -31,9 +31,9 @@ def sensor_leads(adaptive):
 
 
 @jit
-def is_off_path(adaptive, c, s_m):
-    """Whether cell c was measured away from the point of the path at an arc length."""
-    buffer = adaptive.buffer
+def is_off_path(adaptive, c):
+    """Whether cell c was measured away from the point of the path at its arc length."""
+    buffer, s_m = adaptive.buffer, adaptive.buffer.arc_length_m[c]
     x, y = point_at(adaptive, s_m)
     tolerance = max(APART_M, 0.2 * abs(s_m - adaptive.estimate.arc_length_m))
     return math.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y) > tolerance
@@ -45,7 +45,7 @@ def _fill_cell(adaptive, s_m, h_m):
     buffer = adaptive.buffer
     k = int(s_m / CELL_M)
     c = k & (BUFFER_CELLS - 1)
-    if buffer.cell[c] != k + 1 or is_off_path(adaptive, c, s_m):
+    if buffer.cell[c] != k + 1 or is_off_path(adaptive, c):
         buffer.cell[c] = k + 1
         buffer.x_m[c], buffer.y_m[c] = point_at(adaptive, s_m)
         buffer.count[c] = buffer.height_m[c] = buffer.arc_length_m[c] = 0.0
@@ -63,7 +63,7 @@ def store_ground(adaptive, s_m, h_m):
     buffer = adaptive.buffer
     gap_m = s_m - buffer.newest_arc_length_m
     usual_m = min(adaptive.kinematics.speed_mps * adaptive.prediction.interval_s, FILLED_CELLS * CELL_M)
-    if HOLE_CELLS * CELL_M <= gap_m < 1.5 * usual_m:
+    if (HOLE_CELLS - 1) * CELL_M < gap_m < 1.5 * usual_m:
         for k in range(1, int(gap_m / CELL_M)):
             h = buffer.newest_height_m + (h_m - buffer.newest_height_m) * k * CELL_M / gap_m
             _fill_cell(adaptive, buffer.newest_arc_length_m + k * CELL_M, h)
@@ -73,11 +73,12 @@ def store_ground(adaptive, s_m, h_m):
 
 @jit
 def store_ground_under(adaptive, s_m, h_m):
-    """Store a height of channel 0, unless a further channel leads.
+    """Store a height of channel 0, unless a further channel leads, or it leads itself and the tool rests.
 
-    Heights that channel 0 is compared with are then of that channel alone.
+    Heights that channel 0 is compared with are then of that channel alone, or of before the rest.
     """
-    if adaptive.lookahead.lead_m == 0.0 or sensor_leads(adaptive):
+    rests = adaptive.kinematics.speed_mps == 0.0
+    if not rests if sensor_leads(adaptive) else adaptive.lookahead.lead_m == 0.0:
         store_ground(adaptive, s_m, h_m)
 
 
@@ -97,7 +98,22 @@ def buffered_height(adaptive, s_m):
         c = (k + j) & (BUFFER_CELLS - 1)
         if above < 0 and buffer.cell[c] == k + j + 1 and buffer.arc_length_m[c] > s_m:
             above = c
-    if below < 0 or above < 0 or is_off_path(adaptive, below, s_m) or is_off_path(adaptive, above, s_m):
+    if below < 0 or above < 0 or is_off_path(adaptive, below) or is_off_path(adaptive, above):
         return math.nan
     f = (s_m - buffer.arc_length_m[below]) / (buffer.arc_length_m[above] - buffer.arc_length_m[below])
     return buffer.height_m[below] * (1.0 - f) + buffer.height_m[above] * f
+
+
+@jit
+def height_at(adaptive, s_m):
+    """Buffered height of the cell nearest to the place of an arc length [m]; NaN beyond `APART_M`.
+
+    For a tool that came to rest: the speed is a mean, and arc lengths of before differ from those at rest.
+    """
+    buffer, nearest_m, height_m = adaptive.buffer, APART_M, math.nan
+    x, y = point_at(adaptive, s_m)
+    for c in range(BUFFER_CELLS):
+        away_m = math.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y)
+        if buffer.cell[c] != 0 and away_m < nearest_m:
+            nearest_m, height_m = away_m, buffer.height_m[c]
+    return height_m
