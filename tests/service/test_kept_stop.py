@@ -10,12 +10,17 @@ from pathlib import Path
 import pytest
 
 from running_service import Service, drive, objects_of, unique_name, until
-from second_user import NOBODY, needs_root
+from second_user import NOBODY, as_other_user, needs_root, outcome
+from surffollow.cli.service import purge_leftovers
 from surffollow.client import Client
+from surffollow.errors import NoPermissionError
+from surffollow.service import shared_objects
 from surffollow.service.kept_stop import NOTHING, KeptStop, keep_stop, read_kept_stop
 from surffollow.service.name_owner import remove_all
+from surffollow.service.shared_objects import open_shared_objects
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_board import STATE_READY
 from surffollow.shm.layout_follow import STOP_REQUEST, STOP_START
 from surffollow.shm.objects import SHM_ROOT
 
@@ -116,10 +121,13 @@ def test_what_is_kept_is_what_the_map_says(name: str) -> None:
     assert objects_of(name) == set()
 
 
-def test_what_cannot_be_read_begins_stopped(name: str) -> None:
+@pytest.mark.parametrize(
+    "text", ["what\n", "", "4", "-1 0", "99999999999999999999999 5", f"4 {1 << 63}", f"{1 << 63} 0", "4 0 0"]
+)
+def test_what_cannot_be_read_begins_stopped(name: str, text: str) -> None:
     put_map(name, layout_hash=1)
     assert keep_stop(name) == KeptStop(STOP_START, 0), "a map of another release"
-    (SHM_ROOT / f"{name}.stop").write_text("what\n")
+    (SHM_ROOT / f"{name}.stop").write_text(text)
     assert read_kept_stop(name) == KeptStop(STOP_START, 0)
 
 
@@ -128,3 +136,64 @@ def test_a_stop_that_root_keeps_for_a_user_belongs_to_that_user(name: str) -> No
     os.chown(put_map(name, stop=STOP_REQUEST), NOBODY, -1)
     keep_stop(name)
     assert (SHM_ROOT / f"{name}.stop").stat().st_uid == NOBODY
+    # AND a second purge, without the map, says for whom it is kept
+    assert purge_leftovers(name)[0]
+    removed, said = purge_leftovers(name)
+    assert not removed
+    assert f"latched stop (request) is kept for the next start by user {NOBODY}" in said
+
+
+@needs_root
+@pytest.mark.parametrize("mode", [0o644, 0o600])
+@pytest.mark.parametrize("text", ["4 0", "99999999999999999999999 5", "what"])
+def test_a_stop_that_another_user_put_there_is_refused_and_the_start_leaves_nothing(
+    make_service: Make, text: str, mode: int
+) -> None:
+    s = make_service()
+    path = SHM_ROOT / f"{s.name}.stop"
+    path.write_text(text)
+    path.chmod(mode)
+    os.chown(path, NOBODY, NOBODY)
+    with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}, expected user 0") as refused:
+        open_shared_objects(s.settings())
+    assert f"let user {NOBODY} or root remove it (rm {path}), or choose another name" in str(refused.value)
+    assert objects_of(s.name) == {path.name}
+    # a purge of root's map does not carry it on
+    put_map(s.name)
+    with pytest.raises(NoPermissionError, match=f"belongs to user {NOBODY}"):
+        keep_stop(s.name)
+    put_map(s.name, stop=STOP_REQUEST)
+    assert keep_stop(s.name) == KeptStop(STOP_REQUEST, 0)
+    assert path.stat().st_uid == 0
+
+
+@needs_root
+def test_a_user_without_rights_reads_the_same_of_a_file_that_is_closed_to_him(name: str) -> None:
+    path = SHM_ROOT / f"{name}.stop"
+    path.write_text("4 0")
+    path.chmod(0o600)
+    said = as_other_user(lambda _: outcome(lambda: read_kept_stop(name)))
+    assert f"belongs to user 0, expected user {NOBODY}" in said
+    assert f"rm {path}" in said
+
+
+def test_what_is_put_in_the_place_during_a_start_does_not_end_it(make_service: Make) -> None:
+    s = make_service()
+    objects = open_shared_objects(s.settings())
+    path = SHM_ROOT / f"{s.name}.stop"
+    path.mkdir()  # a file would do for a service without root's rights
+    try:
+        objects.set_state(STATE_READY)
+    finally:
+        objects.leave()
+        path.rmdir()
+
+
+def test_a_start_that_fails_with_all_objects_made_leaves_nothing(
+    make_service: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    s = make_service()
+    monkeypatch.setattr(shared_objects, "read_kept_stop", lambda _: KeptStop(10**30, 0))
+    with pytest.raises(OverflowError):
+        open_shared_objects(s.settings())
+    assert objects_of(s.name) == set()

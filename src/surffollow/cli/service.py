@@ -111,13 +111,16 @@ def running_pid(name: str) -> int:
 
 def purge_leftovers(name: str) -> tuple[bool, str]:
     """Remove the map and what a killed service left; whether there was any, and what is said of a stop."""
-    from surffollow.service.kept_stop import NOTHING
+    from surffollow.config.trusted_users import own_user
+    from surffollow.service.kept_stop import NOTHING, kept_stop_owner
     from surffollow.service.name_owner import purge_map
 
     removed, stop = purge_map(name)
     if stop == NOTHING:
         return removed, ""
+    owner = kept_stop_owner(name)
+    whose = "" if owner == own_user() else f" by user {owner}"
     return removed, (
-        f"; {stop.text()} is kept for the next start: the pose's holder resets it there, or remove "
+        f"; {stop.text()} is kept for the next start{whose}: the pose's holder resets it there, or remove "
         f"/dev/shm/{name}.stop when no robot follows that service"
     )
