@@ -89,7 +89,7 @@ class Daemon:
             self._driver_watch = DriverWatch(self.driver)
             self._threads = WorkerThreads(self.mem, self.map_mem, self.objects.address("stats"))
             self._slots = self._make_slot_server()
-            self._mounts = MountWatch(self.mem.params, self.driver.info)
+            self._mounts = MountWatch(self.mem.params, self.driver.info, self.mem.state)
             self._heartbeat = Heartbeat(
                 self.objects,
                 self.mem.ctx,
