@@ -79,6 +79,57 @@ def test_a_latched_stop_outlives_a_purge_and_a_start_with_other_memory(killable:
         killable._reap()
 
 
+def test_an_end_says_that_a_stop_is_kept_and_the_next_start_says_why_it_is_stopped(
+    killable: Service, tmp_path: Path
+) -> None:
+    # GIVEN a stop WHEN the service is ended without a purge THEN that says so
+    with killable.attach() as driver:
+        driver.stop("a person came near")
+    done = killable.run("stop", "--json")
+    assert json.loads(done.stdout)["stop_kept"] is True
+    assert "latched stop (request) is kept for the next start" in done.stderr
+    killable._reap()
+    # AND the next start has a line with cause and remedy, and an entry of the audit trail
+    killable.start_logged(log := tmp_path / "log")
+    assert "starts with a latched stop (request): no demand is valid until the pose's holder resets it" in (
+        text := log.read_text()
+    )
+    assert "simulate --reset-stop" in text
+    assert f"audit: pid {killable.pid} uid {os.geteuid()} service: stop (request): ok" in text
+    with killable.observe() as watcher:
+        (entry,) = watcher.audit()
+        assert (entry["client"], entry["request"], entry["causes"]) == ("service", "stop", ["request"])
+    # AND after a reset none of it
+    with killable.attach() as driver:
+        drive(driver, lambda: driver.status()["poses"] > 0, what="a pose")
+        driver.reset_stop()
+    done = killable.run("stop", "--json")
+    assert json.loads(done.stdout)["stop_kept"] is False
+    assert done.stderr == ""
+    killable._reap()
+    killable.start_logged(log)
+    assert "stop" not in log.read_text()
+
+
+def test_a_killed_service_that_no_robot_used_leaves_no_mark(killable: Service) -> None:
+    killable.kill()
+    assert not purged(killable)
+    assert objects_of(killable.name) - {f"{killable.name}.world", f"{killable.name}.world.lock"} == set()
+    # AND parameters that a client set without the pose are no robot's either, those of a holder are
+    killable.start()
+    with killable.attach() as client:
+        client.sf_reset(0.09)
+        client.set_params(max_demand=0.011)
+        killable.kill()
+    assert not purged(killable)
+    killable.start()
+    with killable.attach() as client:
+        client.sf_reset(0.09)
+        client.claim_pose()
+        killable.kill()
+    assert purged(killable)
+
+
 @pytest.mark.parametrize("end", ["killed", "ended"])
 def test_parameters_in_force_under_a_robot_stop_the_next_start_after_a_purge(
     killable: Service, end: str

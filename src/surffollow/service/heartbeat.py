@@ -67,6 +67,10 @@ class Heartbeat:
         self._published = zeros(lb.MainThreadState)
         self._beam_is_logged = False
 
+    def begin_stopped(self, causes: int) -> None:
+        """The service starts with a latched stop: note it in the audit trail. Raises nothing."""
+        self.guard.run("the audit trail", lambda: self._audit.note_start(causes), None)
+
     def end(self) -> None:
         """The cycle has ended: report what the audit trail still holds. Raises nothing."""
         self.guard.run("the audit trail", self._audit.finish, None)

@@ -66,6 +66,17 @@ def keep_stop(name: str) -> KeptStop:
     return found
 
 
+def stop_of_next_start(name: str) -> KeptStop:
+    """Words that the next start of a name takes over from its map, or from what a purge has kept.
+
+    Raises
+    ------
+    NoPermissionError, BlockError
+    """
+    found, owner = _stop_of_map(name)
+    return read_kept_stop(name, owner) if found == NOTHING else found
+
+
 def read_kept_stop(name: str, owner: int | None = None) -> KeptStop:
     """Read the words that a purge has kept under a name.
 
