@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.client.demand import status_names
 from surffollow.config.params import PARAMS
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.hw.driver import ConversionQueue, mounts_of
@@ -33,6 +34,7 @@ class SomeDemand:
     def __init__(self, output: Any) -> None:
         self.valid = bool(output["status"] & VALID)
         self.pose_t_ns, self.epoch = int(output["pose_t_ns"]), 1
+        self.names = status_names(int(output["status"]))
         self._six = output["demand"].copy()
 
     def __getitem__(self, index: int) -> float:

@@ -54,6 +54,7 @@ def test_a_quantity_is_converted_into_the_asked_unit(text, unit, value):
         ("nan", "m", "no quantity"),
         (math.nan, "m", "not a finite quantity"),
         (math.inf, "m", "not a finite quantity"),
+        (10**400, "m", "the number is beyond 1.8e308"),
         (True, "m", "True is no quantity"),
         (None, "s", "None is no quantity; write a number or text like '5 s'"),
         ("300", "m", "'300' has no unit; write one, like '300 mm', or 300 without quotes for m"),

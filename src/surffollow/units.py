@@ -147,7 +147,10 @@ def parse_quantity(value: object, unit: str, bare: bool = False) -> float:
                 f"{value!r} has no unit; write one, like '{usual}', or {match[1]} without quotes for {unit}"
             )
     else:
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:
+            raise UsageError("the number is beyond 1.8e308, the largest one; give a smaller one") from None
     if not math.isfinite(number):
         raise UsageError(f"{value!r} is not a finite quantity")
     return number

@@ -21,6 +21,7 @@ from surffollow.sim.plant import PlantConfig, from_table
         ({"stop": {"zzz": 5}}, "key 'zzz' of [stop] is unknown; the keys are on"),
         ({"map": {"grids": "many"}}, "key map.grids: expected int, got str"),
         ({"period": [1]}, "key period: expected "),
+        ({"driver": 3}, "key driver: expected a table, got int"),
         ({"period": 1}, "watchdog is 1 s, less than 5 periods of 1 s"),
     ],
 )
@@ -46,7 +47,7 @@ def test_a_missing_key_of_a_driver_is_named() -> None:
 
 
 def test_a_wrong_type_in_a_plant_names_the_key() -> None:
-    with pytest.raises(ConfigError, match=r"plant: key tau_s: expected float, got array"):
+    with pytest.raises(ConfigError, match=r"plant: key tau_s: expected float, got a list"):
         from_table({"tau_s": []}, PlantConfig, "plant")
 
 

@@ -145,6 +145,7 @@ def test_two_hundred_random_faults_never_become_a_wrong_distance(form: Format, w
         ({"pattern": "([0-9]+)"}, "group named range"),
         ({"pattern": "(?P<range>["}, "regular expression"),
         ({"pattern": "(?P<range>.)", "unit": "kg"}, "unit"),
+        ({"pattern": "(?P<range>.)", "unit": ""}, 'has no unit: .*unit = "1 mm", or "1 m" for metres'),
         ({"pattern": "(?P<range>.)", "line_checksum": "md5"}, "line_checksum"),
         ({"length": 8, "header": "zz"}, "hexadecimal"),
         ({"length": 2, "header": "aa 55"}, "length = 2"),
@@ -155,4 +156,9 @@ def test_two_hundred_random_faults_never_become_a_wrong_distance(form: Format, w
 )
 def test_a_format_that_cannot_be_is_refused_with_what_could(settings: dict, says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        make_finder(msgspec.convert(settings, Format))
+        make_finder(msgspec.convert({"unit": "mm"} | settings, Format))
+
+
+def test_a_format_without_a_unit_is_no_metres() -> None:
+    with pytest.raises(ConfigError, match="has no unit"):
+        make_finder(msgspec.convert({"pattern": "(?P<range>.)"}, Format))

@@ -59,13 +59,25 @@ def test_spaces_blank_lines_quotes_and_a_byte_order_mark_are_read(tmp_path: Path
     assert log.range_m.tolist() == [0.2]
 
 
+@pytest.mark.parametrize("sign", [",", "."])
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_semicolons_and_tabs_are_read_with_either_decimal_sign(
+    tmp_path: Path, separator: str, sign: str
+) -> None:
+    rows = HEADER.replace(",", separator) + separator.join(["1500*5", "200*25", *"000000"]) + "\n"
+    log = log_of(tmp_path, rows.replace("*", sign))
+    assert log.t_s.tolist() == [1.5005]
+    assert log.range_m.tolist() == [2.0025]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("t,d,n,e,u,roll,pitch\n", r"log\.csv has no column 'yaw'; it has t, d, n, e, u, roll, pitch"),
         ("", r"log\.csv is empty; expected a line of column names"),
-        (HEADER.replace(",", ";") + "1;2;0;0;0;0;0;0\n", "separated by semicolons; save it with commas"),
-        (HEADER.replace(",", "\t") + "1\t2\t0\t0\t0\t0\t0\t0\n", "separated by tabs; save it with commas"),
+        (HEADER.replace(",", ";") + "1,5;2.5;0;0;0;0;0;0\n", "line 2, column 'd': '2.5': .*one decimal sign"),
+        (HEADER.replace(",", ";") + "1;1,234,5;0;0;0;0;0;0\n", "'1.234.5' is not a finite number"),
+        (HEADER, r"log .*log\.csv has a line of column names and no row"),
         ("logger 7\n2026\n" + HEADER, "column names are in line 3; remove the lines above"),
         ("\0" * 100_000, r"log\.csv is no text in UTF-8"),
         ("n" * 100_000, r"it has n{200}…; change the column file"),

@@ -187,3 +187,15 @@ def test_a_row_far_away_that_makes_the_grids_coarse_is_named_in_a_note(tmp_path:
     assert "note: the map's grids are" in text
     assert "1 of 100 rows" in text
     assert "line 42;" in text
+
+
+def test_an_outlier_in_the_map_is_named_in_a_note(tmp_path: Path) -> None:
+    rows = [row(0.02 * k) for k in range(100)]
+    cells = rows[40].split(",")
+    cells[4] = "60"
+    rows[40] = ",".join(cells)
+    survey(tmp_path, rows)
+    assert "note" not in replayed(tmp_path)
+    text = replayed(tmp_path, "--map", str(tmp_path / "m.npz"))
+    assert "note: the map has 1 target point far above or below the neighbours" in text
+    assert "line 42; correct or remove the rows, or leave them out with [range] min and max" in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 from pathlib import Path
@@ -73,6 +74,8 @@ def test_a_recording_becomes_a_figure_of_the_format_asked_for(
     done = CliRunner().invoke(plot_command, [str(recording), "--out", str(out)], catch_exceptions=False)
     assert done.exit_code == 0
     assert out.read_bytes().startswith(BEGINNINGS[suffix])
+    words = [str(recording), "--out", str(out), "--json"]
+    assert json.loads(CliRunner().invoke(plot_command, words).stdout) == {"out": str(out)}
     if suffix == ".svg":
         for text in (
             "Ground and tool",

@@ -247,10 +247,10 @@ def test_start_in_a_tiny_dev_shm_fails_before_ready_with_one_line(make_service: 
 
 
 def test_purge_after_a_sigkill_removes_what_was_left(own_service: Service) -> None:
-    """GIVEN a killed service WHEN `stop --purge` runs THEN the mark that a robot may follow is left alone."""
+    """GIVEN a killed service WHEN `stop --purge` runs THEN nothing is left: no robot followed it."""
     own_service.kill()
     assert own_service.run("stop", "--purge").returncode == 0
-    assert objects_of(own_service.name) == {f"{own_service.name}.stop"}
+    assert objects_of(own_service.name) == set()
 
 
 KILL_AT_EVERY_LINE = """

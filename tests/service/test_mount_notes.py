@@ -1,15 +1,17 @@
-"""Mounts that give no surface normal are named in the status where rotations are asked for."""
+"""Mounts that give no surface normal, and beams that point upward, are named in the status."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from running_service import Service, until
+from running_service import Service, drive, until
 from surffollow.hw.driver import IDENTITY, Mount
-from surffollow.service.mount_notes import mount_note
+from surffollow.service.mount_notes import beam_note, beam_tilt, mount_note
 from surffollow.sim.mounts import around_tool
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -66,3 +68,48 @@ def test_the_status_shows_the_note_while_rotations_are_asked_for(
         assert "no mounts are given" in service.run("status").stdout
         client.set_params(orient=0)
         until(lambda: "no mounts are given" not in str(client.status()["main"]["text"]), "the note's end")
+
+
+@pytest.mark.parametrize(
+    ("pose", "mount", "degrees"),
+    [
+        (LEVEL, LEVEL, 0.0),
+        ((1.0, 0.0, 0.0, 0.0), LEVEL, 180.0),
+        (LEVEL, (1.0, 0.0, 0.0, 0.0), 180.0),
+        ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), 0.0),
+        ((math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)), LEVEL, 90.0),
+        ((0.0, math.sin(0.9), 0.0, math.cos(0.9)), LEVEL, math.degrees(1.8)),
+    ],
+)
+def test_the_tilt_of_a_beam_is_that_of_pose_and_mount(
+    pose: tuple[float, ...], mount: tuple[float, float, float, float], degrees: float
+) -> None:
+    whole = (0.0, 0.0, 0.1, *pose)
+    assert math.degrees(beam_tilt(whole, (0.0, 0.0, 0.0, *mount))) == pytest.approx(degrees, abs=1e-4)
+    note = beam_note(whole, (0.0, 0.0, 0.0, *mount))
+    assert (f"points upward in the newest pose ({degrees:.0f} deg" in note) == (degrees > 91.0)
+
+
+def test_the_status_and_the_log_name_a_beam_that_points_upward(
+    make_service: Callable[..., Service], tmp_path: Path
+) -> None:
+    """GIVEN poses of a world with z down, then of one with z up THEN the status says it for the first."""
+    service = make_service(kind="external", driver="range_min_m = 0.05\nrange_max_m = 0.3")
+    service.start_logged(log := tmp_path / "log")
+    up, down = (0.0, 0.0, 0.1, *LEVEL), (0.0, 0.0, -0.1, 1.0, 0.0, 0.0, 0.0)
+    with service.attach() as client:
+
+        def text() -> str:
+            return str(client.status()["main"]["text"])
+
+        drive(client, lambda: client.status()["poses"] > 0, up, "a pose")
+        service.cycles(200)
+        assert "points upward" not in text()
+        drive(client, lambda: "points upward" in text(), down, "the note")
+        assert "points upward" in service.run("status").stdout
+        assert "points upward" in json.loads(service.run("status", "--json").stdout)["main"]["text"]
+        drive(client, lambda: "points upward" not in text(), up, "the note's end")
+        drive(client, lambda: "points upward" in text(), down, "the note again")
+    until(lambda: "points upward" not in service.run("status").stdout, "the note's end with the client")
+    service.stop()
+    assert log.read_text().count("points upward") == 1

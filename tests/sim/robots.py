@@ -37,6 +37,7 @@ class PerfectService:
     def __init__(self, field: Any) -> None:
         self.field, self.offset_m, self.poses = field, 0.0, []
         self.released = False
+        self.own_offset_m = 0.1
         self.silent, self.closed, self.epoch, self.resets = False, False, 1, 0
 
     def claim_pose(self) -> None:
@@ -48,6 +49,9 @@ class PerfectService:
     def sf_reset(self, offset_m: float) -> None:
         self.offset_m = offset_m
         self.resets += 1
+
+    def params(self) -> dict[str, float]:
+        return {"offset_m": self.own_offset_m}
 
     def ee_pos(self, pose: Any, t_ns: int | None = None) -> None:
         self.poses.append((t_ns, pose))

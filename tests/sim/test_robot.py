@@ -263,7 +263,7 @@ def test_robot_configuration_out_of_range_is_refused(wrong: dict[str, Any]) -> N
 
 
 def test_a_speed_out_of_range_is_refused_with_its_unit() -> None:
-    says = r"speed_mps = 50 m/s, expected 0\.001 to 2 m/s; a number without a unit is in m/s"
+    says = r"speed_mps = 50 m/s, expected 0\.001 to 2 m/s \(--speed\); a number without a unit is in m/s"
     with pytest.raises(ConfigError, match=says):
         RobotConfig(speed_mps=50.0)
 

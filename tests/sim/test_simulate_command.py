@@ -7,13 +7,14 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from running_service import WAIT_S, until
+from running_service import WAIT_S, Service, until
 from surffollow.cli.simulate import simulate_command
 from surffollow.errors import ConfigError, NotRunningError
 from surffollow.sim.robot_motion import TRACE_COLUMNS
@@ -33,6 +34,7 @@ from robots import PerfectService
 from surffollow.sim.surfaces import flat_field
 service = PerfectService(flat_field((0.0, 0.0, 0.5, 0.2)))
 service.silent = "SILENT" in os.environ
+service.own_offset_m = float(os.environ.get("OWN_OFFSET", "0.1"))
 surffollow.client.attach = lambda name, label="": service
 simulate_command(sys.argv[2:])
 """
@@ -79,9 +81,47 @@ def test_a_run_too_short_to_be_scored_says_when_scoring_begins() -> None:
     text = "nothing was scored: scoring begins 100 mm along the path, here after 2.1 s of motion"
     assert summary["not_scored"].startswith(text)
     assert f"note: {text}" in command("--seconds", "0.5").communicate()[0]
-    assert "first 100 mm are not scored" in " ".join(
+    assert "first way as long as the stand-off is not scored" in " ".join(
         CliRunner().invoke(simulate_command, ["--help"]).output.split()
     )
+
+
+def test_without_a_standoff_the_robot_keeps_that_of_the_service(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """GIVEN a torch's stand-off of 4 mm THEN it begins within the window, and the scale is that of 4 mm."""
+    monkeypatch.setenv("OWN_OFFSET", "0.004")
+    trace = tmp_path / "trace.npz"
+    out, err = command("--seconds", "0.5", "--json", "--trace", str(trace)).communicate()
+    summary = json.loads(out)
+    assert summary["not_scored"] is None, err
+    assert 0.0 < summary["standoff_rms_m"] < 1e-3
+    with np.load(trace) as columns:
+        assert columns["standoff_m"][0] == pytest.approx(0.0044, abs=1e-6)
+        assert columns["standoff_m"][-1] == pytest.approx(0.004, abs=1e-3)
+    out, _ = command("--seconds", "0.1", "--standoff", "8 mm", "--json").communicate()
+    assert "scoring begins 8 mm along the path" in json.loads(out)["not_scored"]
+
+
+def test_a_standoff_that_the_service_refuses_is_named_with_its_option(
+    make_service: Callable[..., Service],
+) -> None:
+    service = make_service(kind="simulated").start()
+    done = service.run("simulate", "--standoff", "2 m")
+    assert done.returncode == 1
+    assert "--standoff 2 m: refused" in done.stderr
+    assert "range_max_m" in done.stderr
+    done = service.run("simulate", "--standoff", "20 m")
+    assert "expected 0.001 to 10 m (--standoff)" in done.stderr
+
+
+def test_a_robot_that_never_set_out_says_why_and_prints_no_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SILENT", "1")
+    out, _ = command("--seconds", "2", "--wait", "0.3").communicate()
+    assert "the tool never set out along its path, because there was no valid demand: none published" in out
+    assert "--seconds" not in out
+    lines = dict(line.split() for line in out.splitlines() if not line.startswith("note"))
+    assert lines["standoff_rms"] == lines["standoff_peak_rolling"] == "-"
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])

@@ -104,6 +104,10 @@ class ArbitratedService:
         """Restart the forecast with a desired stand-off [m]."""
         return self._service.sf_reset(offset_m)
 
+    def params(self) -> dict[str, Any]:
+        """Parameters that are in force."""
+        return self._service.params()
+
     def output(self) -> dict[str, Any] | None:
         """Everything that the service's newest cycle published."""
         return self._service.output()

@@ -85,7 +85,7 @@ def replay_csv_command(
 ) -> None:
     import json
 
-    from surffollow.record.csv_points import check_extent, map_notes
+    from surffollow.record.csv_points import check_extent, map_notes, outlier_notes
     from surffollow.record.forecast_scores import summarise
 
     replay, meaning = replay_csv_log(file, columns, start, end, mode)
@@ -101,6 +101,7 @@ def replay_csv_command(
         made = map_of_points(replay.target_m)
         export(map_out, made.header, made.pairs)
         notes = map_notes(replay.log, replay.target_m, made.grid_m)
+        notes += outlier_notes(replay.log, replay.target_m)
     if plot is not None:
         from surffollow.record.plot_csv import plot_csv
 

@@ -29,8 +29,8 @@ def map_group() -> None:
     """Show, export, compose, refocus and compare map files; upload, install and reset a service's map.
 
     Every command reads the text format of UpLoadMap and .npz (lossless), ESRI ASCII grids and GeoTIFF
-    (as a prior, count 0), by their content. Every command writes what the suffix says: .txt .npz .asc
-    .tif .ply .xyz .las .png .svg .pdf.
+    (as a prior, count 0), by their content. Every command writes what the suffix says: .txt .map .npz
+    .asc .tif .ply .xyz .las .png .svg .pdf.
     """
 
 
@@ -96,8 +96,8 @@ def show_command(file: str, width: int, show_counts: bool) -> None:
 def export_command(file: str, target: str, as_json: bool) -> None:
     """Write a map as TARGET; its suffix says how.
 
-    .txt .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF; .ply mesh; .xyz and .las points of known
-    grids; .png .svg .pdf shaded relief and counts of what is known.
+    .txt .map (text) .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF; .ply mesh; .xyz and .las points of
+    known grids; .png .svg .pdf shaded relief and counts of what is known.
     """
     from surffollow.map.files import check_suffix, export
 

@@ -31,7 +31,7 @@ _TIMEOUT = click.option(
 def upload_command(file: str, name: str, timeout_s: float, as_json: bool) -> None:
     """Write the map of a running service to FILE, in the format of its suffix; an old file is replaced.
 
-    .txt and .npz are lossless; the others are those of `map export`.
+    .txt, .map (the same text) and .npz are lossless; the others are those of `map export`.
     """
     from pathlib import Path
 

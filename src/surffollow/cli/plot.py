@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
 import click
 
-from surffollow.cli.option_types import Finite
+from surffollow.cli.option_types import JSON, Finite
 
 
 @click.command("plot")
@@ -22,6 +23,7 @@ from surffollow.cli.option_types import Finite
 @click.option("--start", type=Finite(), help="CSV: first time, in seconds of the log.")
 @click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")
 @click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
+@JSON
 def plot_command(
     file: str,
     out: str | None,
@@ -29,6 +31,7 @@ def plot_command(
     start: float | None,
     end: float | None,
     mode: str | None,
+    as_json: bool,
 ) -> None:
     """Draw FILE on one page: a recording (.mcap), a CSV log with --columns, or a map file.
 
@@ -67,7 +70,7 @@ def plot_command(
 
         m = HeightMap.load(file)
         export(target, m.header, m.pairs)
-    click.echo(target)
+    click.echo(json.dumps({"out": target}) if as_json else target)
 
 
 def _is_recording(file: str) -> bool:

@@ -71,7 +71,8 @@ def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
     """End a service in good order; its map is kept for the next start unless --purge is given.
 
     A latched stop outlives a purge. So does, where a client held the pose or the service was killed, the mark
-    that stops a start with other parameters.
+    that stops a start with other parameters. A latched stop that is kept, with or without a purge, is named,
+    and "stop_kept" of --json is true.
     """
     from surffollow.errors import NotRunningError
 
@@ -87,6 +88,10 @@ def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
     elif not pid:
         check_holder_is_here(name, f"service {name!r}")
         raise NotRunningError(f"no service {name!r} is running")
+    else:
+        stop_kept = kept_for_next_start(name)
+        if stop_kept:
+            print(f"{name!r} has ended{stop_kept}", file=sys.stderr)
     if as_json:
         import json
 
@@ -111,13 +116,30 @@ def running_pid(name: str) -> int:
 
 def purge_leftovers(name: str) -> tuple[bool, str]:
     """Remove the map and what a killed service left; whether there was any, and what is said of a stop."""
-    from surffollow.service.kept_stop import NOTHING
+    from surffollow.config.trusted_users import own_user
+    from surffollow.service.kept_stop import NOTHING, kept_stop_owner
     from surffollow.service.name_owner import purge_map
 
     removed, stop = purge_map(name)
     if stop == NOTHING:
         return removed, ""
+    owner = kept_stop_owner(name)
+    whose = "" if owner == own_user() else f" by user {owner}"
     return removed, (
-        f"; {stop.text()} is kept for the next start: the pose's holder resets it there, or remove "
+        f"; {stop.text()} is kept for the next start{whose}: the pose's holder resets it there, or remove "
         f"/dev/shm/{name}.stop when no robot follows that service"
     )
+
+
+def kept_for_next_start(name: str) -> str:
+    """Text about a latched stop that outlives a service which has ended; empty: there is none."""
+    from surffollow.errors import BlockError
+    from surffollow.service.kept_stop import stop_of_next_start
+
+    try:
+        stop = stop_of_next_start(name)
+    except BlockError:  # the next start says what stands there
+        return ""
+    if not stop.causes:
+        return ""
+    return f"; {stop.text()} is kept for the next start: the pose's holder resets it there"

@@ -32,6 +32,11 @@ def quantity(unit: str) -> Any:
     return parse
 
 
+def optional_length(ctx: click.Context, param: click.Parameter, value: str | None) -> float | None:
+    """As `quantity("m")`; None where the option is not given."""
+    return None if value is None else float(LENGTH(ctx, param, value))
+
+
 LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 
 
@@ -49,7 +54,8 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     type=Finite(min=0.0),
     default=20.0,
     show_default=True,
-    help="Duration of the motion [s]; 0: to the end of the path. The first 100 mm are not scored.",
+    help="Duration of the motion [s]; 0: to the end of the path. A first way as long as the stand-off is not "
+    "scored.",
 )
 @click.option("--surface", default="fy91", show_default=True, help="Ground; the service needs the same.")
 @click.option(
@@ -74,7 +80,7 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
     "--region", type=Finite(), nargs=4, default=None, help="x_min y_min x_max y_max of the path [m]."
 )
 @click.option("--lane", callback=LENGTH, default="20 mm", show_default=True, help="Distance of raster lanes.")
-@click.option("--standoff", callback=LENGTH, default="0.1 m", show_default=True, help="Desired stand-off.")
+@click.option("--standoff", callback=optional_length, help="Desired stand-off [the service's own].")
 @click.option("--plant", type=click.Path(dir_okay=False), help="TOML file with the vertical axis.")
 @click.option(
     "--latency", callback=TIME, default="10 ms", show_default=True, help="Delay of the pose reports."
@@ -114,7 +120,7 @@ def simulate_command(
     field: tuple[float, float, float, float],
     region: tuple[float, float, float, float] | None,
     lane: float,
-    standoff: float,
+    standoff: float | None,
     plant: str | None,
     latency: float,
     sigma: float,
@@ -145,7 +151,7 @@ def simulate_command(
         speed_mps=speed,
         lane_m=lane,
         seconds=seconds,
-        standoff_m=standoff,
+        **({} if standoff is None else {"standoff_m": standoff}),
         report_latency_s=latency,
         report_sigma_m=sigma,
         turn=turn,
@@ -158,7 +164,8 @@ def simulate_command(
         click.echo(f"surffollow: {text}", err=True)
 
     standstill = Standstill(name, wait_s, reset_stop, report)
-    summary = _run(config, name, wait_s, trace, _attachment(name, arbiter, resource), standstill)
+    attachment = _attachment(name, arbiter, resource)
+    summary = _run(config, name, wait_s, trace, attachment, standstill, standoff is None)
     error = standstill.error or _held_error(summary, name)
     _print_result(summary, as_json, error)
     one_object_is_printed(click.get_current_context())
@@ -187,11 +194,12 @@ def _print_result(summary: dict[str, Any], as_json: bool, error: ServiceError | 
     for key, value in summary.items():
         if key == "not_scored":
             continue
-        if key.endswith("_m") and key != "path_m" and value is not None:
-            click.echo(f"{key[:-2]:24} {value * 1e3:10.3f} mm")
-        elif key.endswith("_rad") and value is not None:
-            click.echo(f"{key[:-4]:24} {math.degrees(value):10.3f} deg")
-        else:
+        for ending, unit, scale in (("_m", "mm", 1e3), ("_rad", "deg", math.degrees(1.0))):
+            if key.endswith(ending) and key != "path_m":
+                number = f"{'-':>10}" if value is None else f"{value * scale:10.3f} {unit}"
+                click.echo(f"{key.removesuffix(ending):24} {number}")
+                break
+        else:  # no error
             click.echo(f"{key:24} {value if not isinstance(value, float) else round(value, 3)!s:>10}")
     if summary["not_scored"]:
         click.echo(f"note: {summary['not_scored']}")
@@ -246,15 +254,22 @@ def _run(
     trace: str | None,
     attachment: Callable[[], Service],
     standstill: Standstill,
+    own_standoff: bool,
 ) -> dict[str, Any]:
+    from surffollow.errors import RefusedError
     from surffollow.map.formats.atomic_file import check_place, replacing
     from surffollow.sim.robot_run import claim_priority, run_robot
 
     if trace:
         check_place(trace)
     claim_priority()
-    with _StopSignals() as stopped:
-        core, summary = run_robot(config, name, attachment, stopped, wait_s, standstill)
+    try:
+        with _StopSignals() as stopped:
+            core, summary = run_robot(config, name, attachment, stopped, wait_s, standstill, own_standoff)
+    except RefusedError as refused:
+        if own_standoff or "offset_m" not in str(refused):
+            raise
+        raise RefusedError(f"--standoff {config.standoff_m:g} m: {refused}", refused.code) from None
     if trace:
         import numpy as np
 

@@ -51,7 +51,8 @@ class Client(MapRequests):
         Parameters
         ----------
         pose : seven floats
-            x y z [m], qx qy qz qw (unit), world from tool
+            x y z [m], qx qy qz qw (unit), world from tool; z of the world is up, and a beam leaves along -z
+            of its sensor (docs/explanation/frames.md)
         t_ns : int, optional
             when that was true, CLOCK_MONOTONIC [ns]; now when absent
 

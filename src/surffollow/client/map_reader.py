@@ -207,12 +207,17 @@ def upload_map(client: ServiceRequests, path: Path, timeout_s: float, progress: 
     Parameters
     ----------
     client : ServiceRequests
-    path : Path                  replaced when it exists
+    path : Path                  replaced when it exists; its suffix names the format, none: the text file
     timeout_s : float [s]        how long to wait for exclusive access, and for each piece
     progress : callable or None  gets the finished fraction; returning False cancels
     """
-    from surffollow.map.formats.text_file import write_text
+    from surffollow.map.formats.text_file import OTHER_SUFFIXES, write_text
 
     header, pairs = copy_live_map(client, timeout_s)
-    write_text(path, header, pairs, progress=progress)
+    if path.suffix.lower() in OTHER_SUFFIXES:
+        from surffollow.map.files import export
+
+        export(path, header, pairs, progress=progress)
+    else:
+        write_text(path, header, pairs, progress=progress)
     return path

@@ -85,12 +85,14 @@ class MapRequests(ServiceRequests):
         return self._ask(RQ_MAP_REFOCUS, values, timeout_s, wait)
 
     def upload_map(self, path: str | Path, *, timeout_s: float = 30.0, progress: Any = None) -> Path:
-        """Write map header and all grids to a text file, with this process's rights (paper: UpLoadMap).
+        """Write map header and all grids to a file, with this process's rights (paper: UpLoadMap).
 
         Parameters
         ----------
         path : path
-            the file; one that is there is replaced when the new one is complete
+            the file; one that is there is replaced when the new one is complete. The suffix names the format,
+            as for `surffollow map upload` (.npz, .tif, .png, …). With any other name, such as .txt or .map,
+            it is the text file
         timeout_s : float
             how long to wait for exclusive access, and for each piece
         progress : callable

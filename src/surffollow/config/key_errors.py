@@ -17,6 +17,8 @@ _UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>[^`]*)`" + _AT)
 _MISSING = re.compile(r"Object missing required field `(?P<key>[^`]*)`" + _AT)
 _OTHER = re.compile(r"(?P<text>Expected .*) - at `\$\.?(?P<path>[^`]+)`$")
 
+_TOML_WORDS = {"object": "a table", "array": "a list", "null": "nothing"}
+
 
 def convert_table(table: Mapping[str, Any], kind: type[_T]) -> _T:
     """Convert a table to a structure; errors are in the terms of a TOML file.
@@ -53,7 +55,10 @@ def key_error_text(error: msgspec.ValidationError, kind: type[msgspec.Struct] | 
     if found := _MISSING.match(text):
         return f"key {found['key']!r}{_of(found['path'])} is missing"
     if found := _OTHER.match(text):
-        return f"key {found['path']}: {found['text'][0].lower()}{found['text'][1:].replace('`', '')}"
+        said = found["text"][0].lower() + found["text"][1:]
+        for json_word, toml_word in _TOML_WORDS.items():
+            said = said.replace(f"`{json_word}`", toml_word)
+        return f"key {found['path']}: {said.replace('`', '')}"
     return text
 
 

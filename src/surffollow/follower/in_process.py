@@ -177,7 +177,8 @@ class Follower:
         t_ns : int
             when the pose was true, a whole number of ns; reports may arrive late
         pose : 7 numbers
-            x y z [m], unit quaternion qx qy qz qw, world from tool
+            x y z [m], unit quaternion qx qy qz qw, world from tool; z of the world is up, and a beam leaves
+            along -z of its sensor (docs/explanation/frames.md)
 
         Returns
         -------

@@ -872,7 +872,7 @@ typedef struct sf_map_header {
   int64_t tile_shift; /* dirty tiles are squares of 2^tile_shift grids */
   int64_t tiles_x; /* dirty tiles per row of tiles */
   double region_m[4]; /* [m] the user's region: x_min, y_min, x_max, y_max */
-  int64_t params_hash; /* of the service's parameters in force; 0: its end was requested, and nobody held the pose */
+  int64_t params_hash; /* of the service's parameters in force; 0: nobody ever held the pose, or at its requested end */
   SF_ALIGNAS(64) double finest_grid_m; /* [m] finest grid that position accuracy allows */
   int64_t rounding; /* ROUND_UNBIASED or ROUND_PAPER */
   double gate_m; /* [m] samples farther from the grid's mean are outliers; 0: no gate */
@@ -2329,6 +2329,7 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
 
 /*
  * Report the pose of the tool, now or at a past time: x y z [m], unit quaternion qx qy qz qw, world from tool,
+ * z of the world up, beams along -z of their sensors (docs/explanation/frames.md);
  * true at `t_ns` (SF_NOW: now). The first call of an attachment claims the pose and waits for the answer
  * (sf_claim_pose does that beforehand). No later one waits, in any state of the service or its socket, and none makes
  * a system call but the clock's unless the service is silent or its slot is lost.

@@ -15,7 +15,8 @@ from surffollow.map.header import numbers_fault
 from surffollow.shm import map_layout as ml
 
 PICTURES = (".png", ".svg", ".pdf")
-EXPORTS = (".txt", *OTHER_SUFFIXES)
+TEXTS = (".txt", ".map")
+EXPORTS = (*TEXTS, *OTHER_SUFFIXES)
 READS = "the map's text file, .npz, ESRI ASCII grid, GeoTIFF"
 
 
@@ -65,7 +66,7 @@ def export(
     Parameters
     ----------
     path : path
-        .txt and .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF (extra `geo`);
+        .txt, .map (text) and .npz lossless; .asc ESRI ASCII grid; .tif GeoTIFF (extra `geo`);
         .ply mesh; .xyz points; .las points (extra `las`); .png, .svg, .pdf pictures (extra `plot`)
     header : (1,) structured `MapHeader`
     pairs : (n,) structured `GridPair`
@@ -79,7 +80,7 @@ def export(
         unknown suffix, a missing extra, nothing to write, or a file that cannot be written
     """
     suffix = check_suffix(path)
-    if suffix in (".txt", ".npz"):
+    if suffix in (*TEXTS, ".npz"):
         save(path, header, pairs, progress=progress)
         return
     if suffix == ".asc":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import math
@@ -134,9 +135,6 @@ def _shown(text: str) -> str:
 def _missing(path: str, header: list[str], names: Iterable[str], rows: Iterable[list[str]]) -> UsageError:
     """The error of a log whose first line lacks a column, with the cause where it can be seen."""
     missing = next(name for name in names if name not in header)
-    for separator, word in ((";", "semicolons"), ("\t", "tabs")):
-        if missing in (cell.strip(' "') for cell in ",".join(header).split(separator)):
-            return UsageError(f"{path}: its columns are separated by {word}; save it with commas")
     for number, row in zip(range(2, LAST_HEADER_LINE + 1), rows):
         if set(names) <= {cell.strip() for cell in row}:
             return UsageError(f"{path}: the column names are in line {number}; remove the lines above it")
@@ -174,7 +172,9 @@ def _cells(
     path: str, text: str, names: dict[str, bool], verbatim: str
 ) -> tuple[dict[str, NDArray[np.float64]], list[str], list[int]]:
     """The columns as numbers, one of them as it is written, and the line of each row."""
-    rows = csv.reader(io.StringIO(text, newline=""))
+    separator = _separator(text, names)
+    rows = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    signs: set[str] = set()
     try:
         header = [name.strip() for name in next(rows, [])]
         places = {}
@@ -198,12 +198,40 @@ def _cells(
             lines.append(rows.line_num)
             for name, optional in names.items():
                 cell = row[places[name]].strip() if places[name] < len(row) else ""
+                if separator != ",":
+                    cell = _with_point(cell, signs, f"{path}, line {rows.line_num}, column {name!r}")
                 values[name].append(_number(cell, optional, f"{path}, line {rows.line_num}, column {name!r}"))
                 if name == verbatim:
                     written.append(cell)
     except csv.Error as e:
         raise UsageError(f"{path}, line {rows.line_num}: {e}") from None
+    if not lines:
+        raise UsageError(f"log {path} has a line of column names and no row; expected rows of numbers")
     return {name: np.array(v, np.float64) for name, v in values.items()}, written, lines
+
+
+def _separator(text: str, names: Iterable[str]) -> str:
+    """The character between the columns: a comma, else a semicolon or a tab where the names need it."""
+    for separator in (",", ";", "\t"):
+        with contextlib.suppress(csv.Error):
+            header = next(csv.reader(io.StringIO(text, newline=""), delimiter=separator), [])
+            if set(names) <= {name.strip() for name in header}:
+                return separator
+    return ","
+
+
+def _with_point(cell: str, signs: set[str], where: str) -> str:
+    """A number with a decimal point, also where commas are none between columns.
+
+    `signs` : decimal signs of the log so far, updated
+    """
+    signs |= {sign for sign in ",." if sign in cell}
+    if len(signs) > 1:
+        raise UsageError(
+            f"{where}: {_shown(cell)!r}: the log has numbers with a comma and numbers with a point; save it "
+            "with one decimal sign and nothing between thousands"
+        )
+    return cell.replace(",", ".")
 
 
 def _number(cell: str, optional: bool, where: str) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surffollow.errors import UsageError
 from surffollow.record.columns import Columns
 from surffollow.record.csv_log import CsvLog
+from surffollow.record.figure import outliers
 from surffollow.shm.map_layout import MAX_REGION_M
 from surffollow.units import numbers_text, parse_quantity
 
@@ -81,6 +82,26 @@ def map_notes(log: CsvLog, points_m: NDArray[np.float64], grid_m: float) -> list
     ]
 
 
+def outlier_notes(log: CsvLog, points_m: NDArray[np.float64]) -> list[str]:
+    """That the map has target points (n, 3) [m] far above or below their neighbours, as text."""
+    odd = np.flatnonzero(outliers(points_m[:, 2]))
+    if not odd.size:
+        return []
+    return [
+        f"the map has {odd.size} target point{'s' if odd.size > 1 else ''} far above or below the "
+        f"neighbours, which the figure crosses out: {_rows_text(log, odd)}; correct or remove the rows, or "
+        "leave them out with [range] min and max of the column file"
+    ]
+
+
+def _rows_text(log: CsvLog, which: NDArray[np.int64]) -> str:
+    """Lines of the file, or times, of some rows; not all where there are many."""
+    kind, names = ("time [s]", log.t_s) if log.lines is None else ("line", log.lines)
+    shown = ", ".join(numbers_text(float(v)) for v in names[which[:SHOWN_ROWS]])
+    more = f" and {which.size - SHOWN_ROWS} more" if which.size > SHOWN_ROWS else ""
+    return f"{kind} {shown}{more}"
+
+
 def _sides(points_m: NDArray[np.float64]) -> list[float]:
     """Extents in x and y [m]."""
     xy = points_m[np.isfinite(points_m).all(axis=1), :2]
@@ -98,11 +119,8 @@ def _far_text(log: CsvLog, points_m: NDArray[np.float64], limit_m: float) -> str
     far = np.flatnonzero(off > limit_m)
     if not far.size:
         return ""
-    kind, names = ("time [s]", log.t_s) if log.lines is None else ("line", log.lines)
-    shown = ", ".join(numbers_text(float(v)) for v in names[far[:SHOWN_ROWS]])
-    more = f" and {far.size - SHOWN_ROWS} more" if far.size > SHOWN_ROWS else ""
     rounded, x, y = (numbers_text(float(v)) for v in (f"{limit_m:.3g}", *middle))
     return (
         f" {far.size} of {len(off)} rows lie more than {rounded} m from the median place {x}, {y} m: "
-        f"{kind} {shown}{more}; correct or remove them, or leave them out with --start and --end"
+        f"{_rows_text(log, far)}; correct or remove them, or leave them out with --start and --end"
     )

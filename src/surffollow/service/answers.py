@@ -58,9 +58,17 @@ def params_hash(mem: Any) -> Any:
 
 
 @jit
-def publish_params(mem: Any) -> None:
-    """Publish the parameters in force, and keep their hash for the service's next start."""
+def keep_params_hash(mem: Any) -> None:
+    """Keep the hash of the parameters in force for the service's next start: a robot follows with them."""
     at.store_release_i64(mem.header.ctypes.data + _PARAMS_HASH, params_hash(mem))
+
+
+@jit
+def publish_params(mem: Any) -> None:
+    """Publish the parameters in force, and keep their hash unless no robot has followed with any yet."""
+    known = at.load_relaxed_i64(mem.header.ctypes.data + _PARAMS_HASH)
+    if known != 0 or mem.ctx[m.POSE_SLOT] >= 0:
+        keep_params_hash(mem)
     latch_write(mem.ctx[m.PARAMS_LATCH], mem.params.ctypes.data, _PARAMS_BYTES)
 
 

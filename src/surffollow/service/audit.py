@@ -99,6 +99,15 @@ class AuditTrail:
                 del self._gathered[kind]
                 self._report(gathered.entry, kind[1])
 
+    def note_start(self, causes: int) -> None:
+        """Note the causes of a stop with which the service starts; they were latched before its cycle ran."""
+        entry = np.zeros_like(self._entry)
+        e = entry[0]
+        e["t_ns"], e["slot"], e["code"], e["result"] = time.monotonic_ns(), -1, lb.RQ_STOP, lb.OK
+        e["uid"], e["word"], e["count"], e["detail"] = -1, -1, 1, causes
+        e["old_value"] = e["new_value"] = np.nan
+        self._take(entry, int(e["t_ns"]))
+
     def finish(self) -> None:
         """The cycle has ended: take all that is queued, and report the entries that still wait for budget."""
         for _ in range(int(self._ctx[m.CHANGES_CAPACITY]) // PER_LOOK + 1):

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 
 from surffollow.config.service import ServiceConfig, seconds
+from surffollow.config.stop_causes import stop_names
 from surffollow.errors import ServiceError
 from surffollow.forecast.step import sf_reset
 from surffollow.hw.driver import ConversionQueue, Driver, reports_of
@@ -89,7 +90,7 @@ class Daemon:
             self._driver_watch = DriverWatch(self.driver)
             self._threads = WorkerThreads(self.mem, self.map_mem, self.objects.address("stats"))
             self._slots = self._make_slot_server()
-            self._mounts = MountWatch(self.mem.params, self.driver.info)
+            self._mounts = MountWatch(self.mem.params, self.driver.info, self.mem.state)
             self._heartbeat = Heartbeat(
                 self.objects,
                 self.mem.ctx,
@@ -164,11 +165,7 @@ class Daemon:
                 # the paper's initialisation of the forecast is SFReset itself
                 sf_reset(self.mem.params, self.mem.state, self.mem.params[0]["offset_m"])
                 differ, self._in_force = stop_after_end(self.mem, self.objects), True
-                if differ:
-                    self.messages.report(
-                        "the service before ended with other parameters in force: stopped until the pose's "
-                        "holder has set its own and resets the stop"
-                    )
+                self._report_stop(differ)
                 if not side.wait(progress.waiting, self._wake):
                     return False
                 store_release(stop, 1)
@@ -184,6 +181,23 @@ class Daemon:
         store_release(stop, 0)
         note_complete()
         return True
+
+    def _report_stop(self, differ: bool) -> None:
+        """Report a stop with which the service starts; `differ`: the parameters are not those before."""
+        causes = int(self.mem.state[0]["stop"])
+        if differ:
+            self.messages.report(
+                "the service before ended with other parameters in force: stopped until the pose's "
+                "holder has set its own and resets the stop"
+            )
+        elif causes:
+            names = ", ".join(stop_names(causes))
+            self.messages.report(
+                f"starts with a latched stop ({names}): no demand is valid until the pose's holder resets it "
+                "(reset_stop(), sf_stop_reset, surffollow simulate --reset-stop)"
+            )
+        if causes:
+            self._heartbeat.begin_stopped(causes)
 
     def _prioritise_cycle(self, thread: int) -> None:
         real_time = self.config.realtime

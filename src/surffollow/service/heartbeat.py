@@ -42,7 +42,7 @@ class Heartbeat:
     grants : Grants          what the kernel granted
     server : SlotServer      who holds which slot
     messages : Messages      lines of text
-    mounts : MountWatch      knows whether the mounts give a surface normal
+    mounts : MountWatch      knows whether the mounts give a surface normal, and a beam is down
 
     Attributes
     ----------
@@ -65,6 +65,11 @@ class Heartbeat:
         self._audit = AuditTrail(objects, ctx, server.table.named, messages.report)
         self._driver_log = DriverLog(messages.report)
         self._published = zeros(lb.MainThreadState)
+        self._beam_is_logged = False
+
+    def begin_stopped(self, causes: int) -> None:
+        """The service starts with a latched stop: note it in the audit trail. Raises nothing."""
+        self.guard.run("the audit trail", lambda: self._audit.note_start(causes), None)
 
     def end(self) -> None:
         """The cycle has ended: report what the audit trail still holds. Raises nothing."""
@@ -74,6 +79,13 @@ class Heartbeat:
         """Report the progress of the start to waiting clients, before the first heartbeat only."""
         self._published[0]["text"] = text.encode(errors="replace")[:511]
         latch_write(self._objects.address("ticker"), self._published.ctypes.data, lb.MainThreadState.SIZE)
+
+    def _notes_of_beam(self, pose_slot: int) -> list[str]:
+        """A beam that points upward, while a client sends poses; the log has it once."""
+        notes = self._mounts.beam_notes() if pose_slot >= 0 else []
+        for note in notes if not self._beam_is_logged else ():
+            self._beam_is_logged = self._messages.report(note)
+        return notes
 
     def publish(self, faults: int = 0) -> None:
         """Look once and publish; `faults` are bits that the caller found itself. Raises nothing."""
@@ -87,6 +99,7 @@ class Heartbeat:
         self.guard.run("the audit trail", self._audit.publish, None)
         notes = [*self._watch.notes(), *conversion_notes(self._ctx), *window_notes(self._ctx)]
         notes += self._mounts.notes()
+        notes += self._notes_of_beam(pose_slot)
         texts = [*driver_faults, *notes, *self._grants.refused, *self.guard.texts()]
         if self._server.failures:
             faults |= FAULT_SLOTS

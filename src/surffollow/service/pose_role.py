@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from surffollow.service import memory as m
+from surffollow.service.answers import keep_params_hash
 from surffollow.service.change_notes import note_stop
 from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.service.stop_latch import holder_pid, stop_for
@@ -47,6 +48,7 @@ def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
         return OK, 0
     if holder >= 0 and holder != slot:
         return ERR_POSE_HELD, holder_pid(ctx)
+    keep_params_hash(mem)
     ctx[m.POSE_SLOT], ctx[m.POSE_CLAIM] = slot, claim
     # poses posted before the claim do not count
     ctx[m.POSE_SEEN] = at.load_acquire_i64(slot_address(ctx[m.SLOTS_AT], slot) + SLOT_POSE)

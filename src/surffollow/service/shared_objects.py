@@ -20,7 +20,7 @@ from surffollow.errors import (
     NoSpaceError,
 )
 from surffollow.service.kept_map import check_kept_map, take_map
-from surffollow.service.kept_stop import forget_stop, read_kept_stop
+from surffollow.service.kept_stop import KeptStop, forget_own_stop, read_kept_stop
 from surffollow.service.name_owner import take_name
 from surffollow.service.slot_memory import SlotMemory
 from surffollow.service.slot_server import BACKLOG
@@ -76,7 +76,7 @@ class SharedObjects:
         from surffollow.shm.python_atomics import store_release
 
         if state == lb.STATE_READY:
-            forget_stop(self.config.name)  # it stands in the map, which stays from here on
+            forget_own_stop(self.config.name)  # it stands in the map, which stays from here on
             self.map_is_new = False
         store_release(int(self.board_bytes.ctypes.data) + lb.BoardHeader.offset("state"), state)
 
@@ -108,6 +108,7 @@ def open_shared_objects(config: ServiceConfig) -> SharedObjects:
         raise
     made = [map_] if fresh else []
     slots: SlotMemory | None = None
+    listener: socket.socket | None = None
     try:
         kept_stop = read_kept_stop(name)
         if not fresh:
@@ -117,7 +118,14 @@ def open_shared_objects(config: ServiceConfig) -> SharedObjects:
         made.append(SharedObject.create(name, board_regions.board_bytes(config.log_words), board_mode, group))
         slots = _make_slots(name)
         listener = _listen(config, group)
+        objects = SharedObjects(config, lock, made[-1], map_, slots, listener)
+        objects.map_is_new = fresh
+        _fill_headers(objects, kept_stop)
+        return objects
     except BaseException:
+        if listener is not None:
+            Disposal().part_listener(listener)
+            unlink(socket_path(name).name)
         if slots is not None:
             slots.close()
         map_.close()
@@ -126,14 +134,6 @@ def open_shared_objects(config: ServiceConfig) -> SharedObjects:
             part.close()
         lock.release()
         raise
-    objects = SharedObjects(config, lock, made[-1], map_, slots, listener)
-    objects.map_is_new = fresh
-    header = objects.map_header[0]
-    header["owner_epoch"] = new_epoch(int(header["owner_epoch"]))
-    header["stop"] |= kept_stop.causes
-    header["params_hash"] = header["params_hash"] or kept_stop.params_hash
-    _fill_headers(objects)
-    return objects
 
 
 def new_epoch(before: int) -> int:
@@ -168,8 +168,11 @@ def _listen(config: ServiceConfig, group: int) -> socket.socket:
         raise kind(f"cannot listen on {path}: {e}; look at it (ls -l {path}) and remove it") from None
 
 
-def _fill_headers(objects: SharedObjects) -> None:
-    config = objects.config
+def _fill_headers(objects: SharedObjects, kept_stop: KeptStop) -> None:
+    config, kept = objects.config, objects.map_header[0]
+    kept["owner_epoch"] = new_epoch(int(kept["owner_epoch"]))
+    kept["stop"] |= kept_stop.causes
+    kept["params_hash"] = kept["params_hash"] or kept_stop.params_hash
     header = zeros(lb.BoardHeader)
     h: Any = header[0]
     h["version"], h["layout_hash"] = lb.LAYOUT_VERSION, board_regions.layout_hash()

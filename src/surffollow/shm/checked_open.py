@@ -61,7 +61,7 @@ def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple
             raise BlockError(_odd(path, kind_of(status.st_mode)))
         if owners and status.st_uid not in owners:
             writes = flags & os.O_ACCMODE != os.O_RDONLY
-            raise NoPermissionError((_not_own if writes else foreign)(path.name, status.st_uid, owners))
+            raise NoPermissionError((not_own if writes else foreign)(path.name, status.st_uid, owners))
     except BaseException:
         os.close(fd)
         raise
@@ -112,7 +112,7 @@ def foreign(name: str, found: int, owners: Collection[int]) -> str:
     return f"{_look_at(name, found, owners)}, or name the service's user (owner=, SURFFOLLOW_OWNER)"
 
 
-def _not_own(name: str, found: int, owners: Collection[int]) -> str:
+def not_own(name: str, found: int, owners: Collection[int]) -> str:
     """The same for one who writes it: a program writes objects of its own user only."""
     return (
         f"{_look_at(name, found, owners)}, let user {found} or root remove it (rm /dev/shm/{name}), "

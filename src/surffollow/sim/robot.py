@@ -18,7 +18,7 @@ from surffollow.sim.commanded_robot import SETTLED_M, SETTLED_TICKS, CommandedRo
 from surffollow.sim.plant import setpoint_for
 from surffollow.sim.pose_reports import PoseReports
 from surffollow.sim.raster import KINDS
-from surffollow.sim.robot_config import APPROACH_M, RobotConfig, make_path
+from surffollow.sim.robot_config import RobotConfig, make_path
 from surffollow.sim.robot_motion import MIN_SPEED_MPS, TRACE_COLUMNS, Motion, run_until
 from surffollow.sim.robot_turn import turned
 from surffollow.sim.step_clock import STEP_NS
@@ -50,12 +50,12 @@ class RobotCore(CommandedRobot):
         x, y = self.path.points[0, :2]
         m["t_ns"] = m["start_ns"] = start_ns
         m["x_m"], m["y_m"] = x, y
-        above_m = field.height_m(x, y) + config.standoff_m + APPROACH_M
+        above_m = field.height_m(x, y) + config.standoff_m + config.approach_m
         m["axis"][0, 0] = m["setpoint_m"] = self.path.points[0, 3] if self.path.has_heights else above_m
         m["tau_s"], m["v_max_mps"] = config.plant.tau_s, config.plant.v_max_mps
         m["a_max_mps2"], m["accel_mps2"] = config.plant.a_max_mps2, config.accel_mps2
         m["spacing_m"], m["standoff_m"] = self.path.spacing_m, config.standoff_m
-        m["score_from_m"] = config.unscored_m
+        m["score_from_m"] = config.score_from_m
         m["turns"] = self._turns = config.turn or self.path.attitudes is not None
         m["attitude"][0, 3] = m["attitude_set"][0, 3] = 1.0
         if self.path.attitudes is not None:
@@ -240,7 +240,7 @@ class RobotCore(CommandedRobot):
         if n:
             return None if n_rolling else "no scored part of the path lay over rolling ground"
         c = self.config
-        begin = f"scoring begins {1e3 * c.unscored_m:g} mm along the path"
+        begin = f"scoring begins {1e3 * c.score_from_m:g} mm along the path"
         if c.path in KINDS:
             begin += f", here after {c.unscored_s:.1f} s of motion (--seconds)"
         return f"nothing was scored: {begin}"

@@ -22,7 +22,16 @@ _UNITS = {
     "rad": "rad",
 }  # by the ending of a name
 
-APPROACH_M = 0.010  # the tool starts that much above the desired stand-off
+# the tool starts so much above the desired stand-off, and no greater part of it: a small window is left soon
+APPROACH_M, APPROACH_PART = 0.010, 0.1
+_OPTIONS = {  # of `surffollow simulate`
+    "speed_mps": "--speed",
+    "lane_m": "--lane",
+    "seconds": "--seconds",
+    "standoff_m": "--standoff",
+    "report_latency_s": "--latency",
+    "report_sigma_m": "--sigma",
+}
 
 
 class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -38,7 +47,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lane_m : distance of a raster's lanes [m]
     seconds : of motion along the path; 0: to its end (a line: for ever)
     standoff_m : desired distance of the tool above the ground [m]
-    unscored_m : first piece of the path, where the follower still learns [m]
+    unscored_m : first piece of the path, where the follower still learns [m]; None: as long as the stand-off
     report_latency_s, report_sigma_m : of pose reports [s], noise of x, y and z [m]
     retract_m : without a valid demand, rise so far above the held height [m]; 0: hold it
     command_timeout_s : a controller that says nothing for so long is dead: the drives stop by themselves [s]
@@ -55,7 +64,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lane_m: float = 0.02
     seconds: float = 20.0
     standoff_m: float = 0.1
-    unscored_m: float = 0.1
+    unscored_m: float | None = None
     report_latency_s: float = 0.010
     report_sigma_m: float = 0.05e-3
     retract_m: float = 0.0
@@ -86,17 +95,30 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         }
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
+            if value is None:
+                continue
             if not low <= value <= high:
                 unit = _UNITS[name.rpartition("_")[2]]
+                option = f" ({_OPTIONS[name]})" if name in _OPTIONS else ""
                 raise ConfigError(
-                    f"robot {name} = {value:g} {unit}, expected {low:g} to {high:g} {unit}; a number "
+                    f"robot {name} = {value:g} {unit}, expected {low:g} to {high:g} {unit}{option}; a number "
                     f"without a unit is in {unit}"
                 )
 
     @property
+    def approach_m(self) -> float:
+        """Height above the desired stand-off at which the tool starts [m]."""
+        return min(APPROACH_M, APPROACH_PART * self.standoff_m)
+
+    @property
+    def score_from_m(self) -> float:
+        """Length of the first piece of the path, which is not scored [m]."""
+        return self.standoff_m if self.unscored_m is None else self.unscored_m
+
+    @property
     def unscored_s(self) -> float:
         """Time that a line or a raster from rest takes to the end of its unscored piece [s]."""
-        v, a, way = self.speed_mps, self.accel_mps2, self.unscored_m
+        v, a, way = self.speed_mps, self.accel_mps2, self.score_from_m
         return math.sqrt(2.0 * way / a) if way < 0.5 * v * v / a else way / v + 0.5 * v / a
 
 

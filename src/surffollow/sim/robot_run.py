@@ -8,10 +8,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import FaultError, LayoutMismatchError, NoPermissionError, PoseError, RefusedError
+from surffollow.sim.commanded_robot import SETTLED_M
 from surffollow.sim.robot import RobotCore
 from surffollow.sim.robot_config import RobotConfig
 from surffollow.sim.standstill import Standstill, Stoppable
@@ -47,6 +49,7 @@ class Service(Stoppable, Protocol):
     def claim_pose(self) -> None: ...
     def release_pose(self) -> None: ...
     def sf_reset(self, offset_m: float) -> object: ...
+    def params(self) -> dict[str, Any]: ...
     def close(self) -> None: ...
 
 
@@ -73,12 +76,23 @@ class Controller:
     core : Core
     attach : makes an attachment, or raises a `FaultError`
     standstill : notes why there is no valid demand
+    own_standoff : keep the stand-off that the service has at the first attachment, not that of the core
+
+    Attributes
+    ----------
+    standing : why the robot stands still, in words; empty while it has a valid demand
     """
 
     def __init__(
-        self, core: Core, attach: Callable[[], Service], standstill: Standstill | None = None
+        self,
+        core: Core,
+        attach: Callable[[], Service],
+        standstill: Standstill | None = None,
+        own_standoff: bool = False,
     ) -> None:
         self._core, self._attach, self._standstill = core, attach, standstill
+        self._own_standoff, self._service_standoff_m = own_standoff, 0.0
+        self.standing = "it had no demand yet"
         self._service: Service | None = None
         self._retry_ns = self._epoch = 0
         self.ticks = self.held = self.refused = self.attachments = 0
@@ -88,6 +102,15 @@ class Controller:
     def service(self) -> Service | None:
         """The attachment; None while there is none."""
         return self._service
+
+    @property
+    def standoff_m(self) -> float:
+        """Stand-off that it asks of the service [m]; 0: the service was not asked for its own yet."""
+        return self._service_standoff_m if self._own_standoff else self._core.desired_m
+
+    def drive(self, core: Core) -> None:
+        """Drive another robot from now on."""
+        self._core = core
 
     def connect(self, wait_s: float, stopped: Callable[[], bool] = lambda: False) -> None:
         """Attach and request the desired stand-off.
@@ -115,7 +138,9 @@ class Controller:
             return error
         try:
             service.claim_pose()
-            service.sf_reset(self._core.desired_m)
+            if self._own_standoff and not self._service_standoff_m:
+                self._service_standoff_m = float(service.params()["offset_m"])
+            service.sf_reset(self.standoff_m)
         except FaultError as error:
             self.fault = str(error)
             service.close()
@@ -134,6 +159,7 @@ class Controller:
             self._retry_ns = core.t_ns + RETRY_NS
             self._try_attach()
         if self._service is None:
+            self.standing = f"there was no service: {self.fault}"
             core.hold()
             self.held += 1
             return
@@ -141,7 +167,7 @@ class Controller:
             demand = self._service.dev_vector()
             if demand.valid and self._epoch not in (0, demand.epoch):
                 # a service that started anew has forgotten the stand-off
-                self._service.sf_reset(core.desired_m)
+                self._service.sf_reset(self.standoff_m)
                 core.hold()
                 self._epoch = demand.epoch
             elif demand.valid:
@@ -150,6 +176,9 @@ class Controller:
             else:
                 core.hold()
             self.held += core.is_holding
+            self.standing = ""
+            if not demand.valid:
+                self.standing = f"there was no valid demand: {'|'.join(demand.names) or 'none published'}"
             if self._standstill is not None:
                 if demand.valid:
                     self._standstill.moves()
@@ -200,6 +229,7 @@ def run_robot(
     stopped: Callable[[], bool],
     wait_s: float = 10.0,
     standstill: Standstill | None = None,
+    own_standoff: bool = False,
 ) -> tuple[RobotCore, dict[str, Any]]:
     """Run the robot of service `name` in wall time until its task is done or `stopped()`.
 
@@ -211,6 +241,7 @@ def run_robot(
     stopped : asked before the block exists, while waiting, and in every period
     wait_s : how long to wait for the service at the start [s]
     standstill : notes why there is no valid demand; its `error` ends the run
+    own_standoff : keep the stand-off that the service has, not that of the configuration
 
     Returns
     -------
@@ -229,9 +260,13 @@ def run_robot(
     if stopped():
         raise KeyboardInterrupt
     world = WorldWriter(name)
-    controller = Controller(core, attach, standstill)
+    controller = Controller(core, attach, standstill, own_standoff)
     try:
         controller.connect(wait_s, stopped)
+        if own_standoff:
+            config = msgspec.structs.replace(config, standoff_m=controller.standoff_m)
+            core = RobotCore(config, field, time.monotonic_ns())
+            controller.drive(core)
         core.restart_clock(time.monotonic_ns())
         tick_ns = round(1e9 / config.plant.tick_hz)
         while not (core.done or stopped() or (standstill is not None and standstill.error)):
@@ -240,7 +275,11 @@ def run_robot(
     finally:
         controller.release()
         world.close()
-    summary = core.summary() | {
+    summary = core.summary()
+    if not core.started_ns:
+        why = controller.standing or f"its demands did not stay below {1e3 * SETTLED_M:g} mm"
+        summary["not_scored"] = f"nothing was scored: the tool never set out along its path, because {why}"
+    summary |= {
         "ticks": controller.ticks,
         "held_ticks": controller.held,
         "refused_reports": controller.refused,

@@ -107,7 +107,7 @@ class Format(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     limits : frames: status, signal quality and so on
     checksum : frames
     no_target_values : numbers that mean "no measurement"
-    unit : what the number 1 means ("mm", "0.1 mm")
+    unit : what the number 1 means ("mm", "0.1 mm"); must be given
     zero_m : what the number 0 means [m]
     """
 
@@ -123,11 +123,22 @@ class Format(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     limits: tuple[Limits, ...] = ()
     checksum: Checksum | None = None
     no_target_values: tuple[float, ...] = ()
-    unit: str = "m"
+    unit: str = ""
     zero_m: float = 0.0
 
     def scale_m(self) -> float:
-        """Metres of the number 1."""
+        """Metres of the number 1.
+
+        Raises
+        ------
+        ConfigError
+            no unit, or none of a length
+        """
+        if not self.unit.strip():
+            raise ConfigError(
+                "the format has no unit: give what the number 1 means, such as "
+                'unit = "1 mm", or "1 m" for metres'
+            )
         text = self.unit if re.match(r"\s*[-+.\d]", self.unit) else f"1 {self.unit}"
         try:
             return parse_quantity(text, "m")
