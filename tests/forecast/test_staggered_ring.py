@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.forecast.attitude.beam_detection import choose_reference, is_recent, measure_round
+from surffollow.forecast.attitude.beam_detection import choose_reference, measure_round
+from surffollow.forecast.attitude.beam_times import is_recent
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import SenseState

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numba import njit
 
+from surffollow.forecast.terrain.bridges import bridge_gaps
 from surffollow.map.header import init_header
 from surffollow.map.kernels.geometry import open_journal, reset_begin, reset_step
 from surffollow.map.kernels.grids import update_map
 from surffollow.map.kernels.preview_line import (
     NOW_NS,
     PASS_NS,
-    bridge_gaps,
     grid_width,
     heights_along,
     new_kept,

@@ -197,7 +197,7 @@ class Follower:
         answer = int(report_pose(self._state, self._stepped_ns, t, self._pose))
         if answer == CLOCK_SET:
             self._latest_ns = t
-            self._stamps.time.newest_ns = t
+            self._stamps.note_clock_set(t)
         if answer != REFUSED:
             self._pose_intervals.check(t)
             self._stamps.note_pose(t)

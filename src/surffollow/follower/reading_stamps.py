@@ -1,10 +1,11 @@
 """Timestamps of readings that disagree with every other time that is known.
 
 A follower in process has no clock. Its reference time is the newest timestamp of a pose or of a step without
-a reading. The timestamp of a reading leads the reference time by a mean lead. A timestamp that jumps ahead
-of the mean lead, or goes back behind it as far as no delay is, is wrong, or the reference time is. The
-reading is dropped until two reference times more have come. If the timestamps still disagree, they are
-shifted to the mean lead.
+a reading. Readings between two reference times are a group: a batch, or those of an interval. The last one of
+a group leads the reference time by a mean lead; the others lie behind it, however long the group is. A
+timestamp that jumps ahead of the mean lead, or goes back behind it as far as no delay is, is wrong, or the
+reference time is. The reading is dropped until two reference times more have come. If the timestamps still
+disagree, they are shifted to the mean lead.
 """
 
 from __future__ import annotations
@@ -21,15 +22,22 @@ FAST = "timestamps of readings run ahead of those of poses: the sensor's clock i
 # where both arrive
 READINGS_AHEAD = "timestamps of readings lie ahead of those of poses by more than the pose time-out"
 READINGS_BEHIND = "timestamps of readings lie behind those of poses by more than the pose time-out"
-RATE = 0.05  # gain per value of the mean lead, its mean deviation and the mean interval
+RATE = 0.05  # gain per value of the mean lead, its mean deviation and the mean intervals
 DEVIATIONS = 4.0  # mean absolute deviations of the lead, in addition to one interval: the gate
-MAX_INTERVALS = 2.0  # after so many without another time, the other times stopped
+MAX_INTERVALS = 2.0  # after so many without another time, the other times stopped for a while
 MIN_LEADS = 20  # burn-in of the mean lead
 BACK = 0.5  # of the time that tells another clock: timestamps that go back less are for the sample hold
 RELEASE = 0.5  # of the shift: timestamps nearer to the mean lead are right again
 # at the reference time 1, divisible by all reference times: whole nanoseconds would not scale bit for bit
 QUANTUM_NS = 1 << 12  # of a shift
 CONFIRMING_TIMES = 2  # reference times after the jump: a single one may itself be late
+
+
+def follow_interval_ns(usual_ns: float, interval_ns: float) -> float:
+    """Mean interval [ns] after one more, which counts as two usual ones at most."""
+    if usual_ns == 0.0:
+        return interval_ns
+    return usual_ns + RATE * (min(interval_ns, 2.0 * usual_ns) - usual_ns)
 
 
 class ReferenceTime:
@@ -84,9 +92,7 @@ class ReferenceTime:
         if self.newest_ns == 0:
             self.newest_ns = t_ns
         elif interval_ns > 0:
-            if self.interval_ns == 0.0:
-                self.interval_ns = float(interval_ns)
-            self.interval_ns += RATE * (min(interval_ns, 2.0 * self.interval_ns) - self.interval_ns)
+            self.interval_ns = follow_interval_ns(self.interval_ns, float(interval_ns))
             self.newest_ns = t_ns
             self.count += 1
         elif interval_ns < -max(DEVIATIONS * self.interval_ns, self.jump_ns):
@@ -109,7 +115,8 @@ class ReadingStamps:
         self._restart()
 
     def _restart(self) -> None:
-        self._last_ns = self._count = self._renewed_ns = 0
+        self._last_ns = self._count = 0
+        self._interval_ns = 0.0
         self._restarts = self._time.restarts
         self._begin()
 
@@ -117,8 +124,14 @@ class ReadingStamps:
         self.shift_ns = 0.0
         self._waits_since = -1
         self._wait_ns = self._wait_from_ns = 0
-        self._leads = 0
+        self._leads = self._group_time_ns = 0
         self._lead_ns = self._deviation_ns = self._least_ns = 0.0
+        self._group_lead_ns = self._group_ahead_ns = 0.0
+        self._is_usual = False
+
+    @property
+    def _margin_ns(self) -> float:
+        return self._time.interval_ns + DEVIATIONS * self._deviation_ns
 
     def correct(self, t_ns: int) -> int | None:
         """Correct the timestamp of a reading.
@@ -138,35 +151,46 @@ class ReadingStamps:
             return t_ns
         if self._restarts != time.restarts:
             self._restart()
-        lead_ns = float(t_ns - time.newest_ns)
-        jump_ns, self._last_ns = t_ns - self._last_ns, t_ns
-        margin_ns = time.interval_ns + DEVIATIONS * self._deviation_ns
-        ahead_ns = lead_ns - self._lead_ns
-        renewed, self._count = time.count > self._count, time.count
+        renewed = time.count > self._count
         if renewed:
-            self._renewed_ns = t_ns
+            self._end_group()
+        lead_ns, margin_ns = float(t_ns - time.newest_ns), self._margin_ns
+        self._group_lead_ns, self._group_time_ns = lead_ns, time.newest_ns
+        jump_ns, steady = self._advance(t_ns)
+        ahead_ns = lead_ns - self._lead_ns
         back_ns = RELEASE * self.shift_ns if self.shift_ns < 0.0 else -BACK * time.jump_ns
+        self._is_usual = False
         if self._leads >= MIN_LEADS and ahead_ns < back_ns:
             if self.shift_ns < 0.0:
                 # set again; later ones are late
-                if renewed and (jump_ns < 0 or ahead_ns - self.shift_ns > margin_ns):
+                if renewed and (jump_ns < 0 or self._beyond_shift_ns(ahead_ns) > margin_ns):
                     self._shift(ahead_ns)
                 return t_ns - int(self.shift_ns)
             return self._await(t_ns, ahead_ns, jump_ns >= 0)
         if self._leads < MIN_LEADS or ahead_ns <= margin_ns:
-            self.shift_ns, self._waits_since = 0.0, -1
-            # timestamps that stand still or run slow are not usual: right ones later would be called ahead
-            if self._leads < MIN_LEADS or ahead_ns >= -time.interval_ns:
-                self._learn(t_ns, lead_ns)
+            self.shift_ns, self._waits_since, self._is_usual = 0.0, -1, True
             return t_ns
         if self.shift_ns > 0.0:
-            if renewed and abs(ahead_ns - self.shift_ns) > margin_ns:
+            before_ns = self.shift_ns - self._group_ahead_ns
+            if renewed and max(before_ns, self._beyond_shift_ns(ahead_ns)) > margin_ns:
                 self._shift(ahead_ns)
             return t_ns - int(self.shift_ns)
-        goes_on = self._waits_since < 0 and jump_ns <= margin_ns  # then the other times are late
-        if goes_on:
-            self._learn(t_ns, lead_ns)
-        return self._await(t_ns, ahead_ns, goes_on)
+        self._is_usual = self._waits_since < 0 and steady  # then the other times are late
+        return self._await(t_ns, ahead_ns, self._is_usual)
+
+    def _advance(self, t_ns: int) -> tuple[int, bool]:
+        """How far a timestamp is ahead of that of the reading before [ns], and whether it advances evenly."""
+        jump_ns = t_ns - self._last_ns
+        steady = jump_ns <= self._interval_ns + self._margin_ns
+        if jump_ns > 0 and self._last_ns != 0:
+            self._interval_ns = follow_interval_ns(self._interval_ns, float(jump_ns))
+        self._last_ns = t_ns
+        return jump_ns, steady
+
+    def begin_wait(self) -> None:
+        """Wait for other times, unless the timestamps turn out to be usual."""
+        self._waits_since = self._time.count
+        self._wait_ns, self._wait_from_ns = self._last_ns, self._time.newest_ns
 
     def _await(self, t_ns: int, ahead_ns: float, goes_on: bool) -> int | None:
         """Drop readings with timestamps that jumped until other times confirm the jump, then shift them."""
@@ -176,8 +200,7 @@ class ReadingStamps:
         if self._waits_since < 0:
             if goes_on:
                 return t_ns
-            self._waits_since = self._time.count
-            self._wait_ns, self._wait_from_ns = t_ns, self._time.newest_ns
+            self.begin_wait()
         if self._time.count < self._waits_since + CONFIRMING_TIMES:
             return None
         self._shift(ahead_ns)
@@ -190,25 +213,38 @@ class ReadingStamps:
         elapsed_ns = max(self._last_ns - self._wait_ns, 0)
         return max(self._wait_from_ns + elapsed_ns, self._time.newest_ns)
 
-    def _shift(self, ahead_ns: float) -> None:
-        """Shift timestamps to the mean lead."""
-        self.shift_ns = ahead_ns - math.fmod(ahead_ns, self._time.quantum_ns)
+    def _beyond_shift_ns(self, ahead_ns: float) -> float:
+        """How far the last group, or this reading, lies ahead of the mean lead when it is shifted [ns]."""
+        return max(self._group_ahead_ns, ahead_ns) - self.shift_ns
 
-    def _learn(self, t_ns: int, lead_ns: float) -> None:
-        """Update the mean lead, unless the other times stopped: then every reading leads them farther."""
-        if t_ns - self._renewed_ns > MAX_INTERVALS * self._time.interval_ns > 0.0:
+    def _shift(self, ahead_ns: float) -> None:
+        """Shift the last reading of a group to the mean lead, and this one too if it is farther ahead."""
+        beyond = ahead_ns - self._group_ahead_ns > self._margin_ns
+        found_ns = ahead_ns if beyond else self._group_ahead_ns
+        self.shift_ns = found_ns - math.fmod(found_ns, self._time.quantum_ns)
+
+    def _end_group(self) -> None:
+        """Learn the lead of the last reading, unless the other times stopped behind it for a while."""
+        time, lead_ns = self._time, self._group_lead_ns
+        self._group_ahead_ns = lead_ns - self._lead_ns
+        intervals, self._count = time.count - self._count, time.count
+        if not self._is_usual or time.newest_ns - self._group_time_ns > (
+            MAX_INTERVALS * time.interval_ns * intervals
+        ):
+            return
+        # timestamps that stand still or run slow are not usual: right ones later would be called ahead
+        if self._leads >= MIN_LEADS and self._group_ahead_ns < -time.interval_ns:
             return
         self._leads += 1
         rate = max(RATE, 1.0 / self._leads)
-        self._deviation_ns += rate * (abs(lead_ns - self._lead_ns) - self._deviation_ns)
-        self._lead_ns += rate * (lead_ns - self._lead_ns)
+        self._deviation_ns += rate * (abs(self._group_ahead_ns) - self._deviation_ns)
+        self._lead_ns += rate * self._group_ahead_ns
         if self._leads <= MIN_LEADS or self._lead_ns < self._least_ns:
             self._least_ns = self._lead_ns
 
     def is_fast(self, tau_ns: float) -> bool:
         """Whether the mean lead has grown, to one that no delay explains, at a time constant [ns]."""
-        margin_ns = self._time.interval_ns + DEVIATIONS * self._deviation_ns
-        return self._lead_ns - max(self._least_ns, 0.0) - margin_ns > LONG_TAUS * tau_ns
+        return self._lead_ns - max(self._least_ns, 0.0) - self._margin_ns > LONG_TAUS * tau_ns
 
 
 class Offset:
@@ -253,6 +289,12 @@ class Timestamps:
         """Note a pose that was taken, true at a time [ns]."""
         self.time.add(t_ns)
         self._offset.note_pose(t_ns)
+
+    def note_clock_set(self, t_ns: int) -> None:
+        """Note that the poses' clock was set back to a time [ns]: readings that go on are of another."""
+        self.time.newest_ns = t_ns
+        for sensor in self._sensors:
+            sensor.begin_wait()
 
     def check(self, t_ns: int, channel: int | None) -> tuple[int, bool]:
         """The time of a step [ns], and whether its readings are to be dropped.

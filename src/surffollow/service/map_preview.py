@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from surffollow.forecast.terrain.bridges import bridge_gaps, longest_hole_m
 from surffollow.forecast.terrain.preview_schedule import preview_window
-from surffollow.map.kernels.preview_line import bridge_gaps, grid_width, heights_along
+from surffollow.map.kernels.preview_line import grid_width, heights_along
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.layout_follow import MAX_PREVIEW, MODE_ADAPTIVE
 
 # of the reference length: coarser grids blur what a plan would be for
 COARSEST_M = 5.08e-3
 PER_GRID = 2.0
-BRIDGE_M = 8e-3  # holes up to this long are bridged, as those of a leading sensor
 
 
 @jit
@@ -45,7 +45,7 @@ def look_ahead(mem: Any) -> None:
         i.preview_m,
     )
     if known > 0:
-        bridge_gaps(i.preview_m, n, int(BRIDGE_M * length / step))
+        bridge_gaps(i.preview_m, n, int(longest_hole_m(mem.state[0].adaptive) * length / step))
         i.n_preview, i.preview_from_m, i.preview_step_m = n, first, step
 
 

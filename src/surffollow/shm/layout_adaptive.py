@@ -196,7 +196,7 @@ class AdaptiveState(Schema):
     attitude = Nested(Attitude)
 
 
-# why the health is not OK, or, the last one, why a healthy follower does not go to the stand-off
+# why the health is not OK, or, REASON_TESTED, why a healthy follower does not go to the stand-off
 REASON_NAMES = (
     "",
     "no pose within its time-out",
@@ -216,6 +216,7 @@ REASON_NAMES = (
     "some sensors disagree with the others and are left out",
     "range stays too long while the tool descends steeply: it may not see the ground",
     "the range is tested: the tool is held or raised until it responds",
+    "readings of some sensors are older than those of the others and are left out",
 )
 (
     REASON_NONE,
@@ -236,7 +237,8 @@ REASON_NAMES = (
     REASON_LEFT_OUT,
     REASON_DESCENT,
     REASON_TESTED,
-) = range(18)
+    REASON_OLD,
+) = range(19)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

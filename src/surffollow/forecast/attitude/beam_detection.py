@@ -8,11 +8,13 @@ those of two others is blocked, or stuck. Without a majority the beams that see 
 
 import math
 
+from surffollow.forecast.attitude.beam_times import is_near, is_recent, lateness_ns, round_ns
 from surffollow.forecast.attitude.plane_regression import (
     flat_height,
     half_squared_distance,
     is_bent,
     odd_beam,
+    plausible_bend_m,
 )
 from surffollow.forecast.estimation.noise import assumed_noise_m, estimated_range_noise_m
 from surffollow.forecast.plant.plant_identification import predict_pose
@@ -21,23 +23,17 @@ from surffollow.forecast.quantities import (
     CONFIRMED_SAMPLES,
     LONG_GAP_NS,
     MAX_GAP_NS,
-    MISSING_NS,
     PAUSE_NS,
     REPEAT_BAND,
+    USUAL_SAMPLES,
     tolerated_gap_s,
 )
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
 from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
 from surffollow.forecast.sensing.standoff import axis_ground_point
-from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.jit import jit
 
 ROUND_SHARE = 0.9  # of the interval: eight beams by turns need 7/8 of it
-
-
-@jit_inlined
-def is_recent(beams, c, t_ns):
-    """Whether a beam has a sample as new as one with this timestamp, or of the same round."""
-    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= max(MISSING_NS, beams.round_ns)
 
 
 @jit
@@ -51,6 +47,25 @@ def measure_round(params, adaptive):
         if adaptive.health.interval_s[c] > 0.0:
             shortest_s = min(shortest_s, adaptive.health.interval_s[c])
     adaptive.beams.round_ns = int(ROUND_SHARE * shortest_s * 1e9)
+
+
+@jit
+def measure_lateness(params, adaptive, sense):
+    """Learn how far fresh beams are usually behind the reference; set how late a footprint may be.
+
+    The tool may have travelled the radius of the ring since, and PAUSE_NS may have passed.
+    """
+    beams, reference_ns, farthest_m2 = adaptive.beams, adaptive.beams.t_ns[adaptive.beams.reference], 0.0
+    for c in range(params.n_channels):
+        if sense.fresh[c] != 0 and reference_ns != 0:
+            late_s = max(reference_ns - beams.t_ns[c], 0) * 1e-9
+            beams.late_s[c] += (min(late_s, LONG_GAP_NS * 1e-9) - beams.late_s[c]) / USUAL_SAMPLES
+        if is_recent(beams, c, reference_ns):
+            farthest_m2 = max(farthest_m2, half_squared_distance(beams, c))
+    radius_m, speed_mps = math.sqrt(2.0 * farthest_m2), adaptive.kinematics.speed_mps
+    beams.reach_s = PAUSE_NS * 1e-9
+    if radius_m < speed_mps * beams.reach_s:
+        beams.reach_s = radius_m / speed_mps
 
 
 @jit
@@ -103,6 +118,7 @@ def observe_beams(params, adaptive, sense, pose):
         beams.t_ns[c] = t_ns
         dx, dy, _ = axis_ground_point(params, pose, 0)  # accurate enough for the curvature
         beams.axis_x_m, beams.axis_y_m = pose[0] + dx, pose[1] + dy
+    measure_lateness(params, adaptive, sense)
     return choose_reference(params, beams, sense)
 
 
@@ -156,8 +172,10 @@ def is_blocked(params, adaptive, c):
     three beams are isolated by the plane on which they lie.
     """
     beams, n = adaptive.beams, 0
+    latest_ns = round_ns(beams) + lateness_ns(beams, c)
     for k in range(params.n_channels):
-        n += 1 if is_recent(beams, k, beams.t_ns[c]) else 0
+        apart_ns = abs(beams.t_ns[c] - beams.t_ns[k])
+        n += 1 if beams.t_ns[k] != 0 and apart_ns <= latest_ns + lateness_ns(beams, k) else 0
     least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
     changes = beams.changes - beams.run_changes[c]
     # six changes of the two others by turns in a second are no chance
@@ -165,21 +183,11 @@ def is_blocked(params, adaptive, c):
 
 
 @jit
-def plausible_bend_m(params, adaptive):
-    """How far ground as curved as a sphere of the stand-off leaves its plane under the farthest beam [m].
-
-    A twentieth of the stand-off at most: wide rings meet such ground seldom, and faults as large do harm.
-    """
-    beams, farthest_m2 = adaptive.beams, 0.0
-    for c in range(params.n_channels):
-        if beams.accepted[c] != 0:
-            farthest_m2 = max(farthest_m2, half_squared_distance(beams, c))
-    return min(farthest_m2 / params.offset_m, 0.05 * params.offset_m)
-
-
-@jit
 def collect_heights(params, adaptive, t_ns, x_m, y_m):
     """Sorted heights at (x, y) by beams that are recent and not blocked; their number, and of repeating ones.
+
+    Where these are fewer than three, beams that are late as usual count, too: without them there is no plane.
+    Ground that moves would tilt it, because their heights are of an earlier time.
 
     Parameters
     ----------
@@ -192,10 +200,16 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
     int64, int64
     """
     beams, plane = adaptive.beams, adaptive.plane
-    n, repeating = 0, 0
+    timely, n, repeating = 0, 0, 0
     for c in range(params.n_channels):
-        usable = is_recent(beams, c, t_ns) and not is_blocked(params, adaptive, c)
-        beams.accepted[c] = 1 if usable else 0
+        recent = is_recent(beams, c, t_ns)
+        beams.accepted[c] = 1 if recent and not is_blocked(params, adaptive, c) else 0
+        beams.old[c] = 1 if beams.t_ns[c] != 0 and not recent else 0
+        timely += beams.accepted[c]
+    for c in range(params.n_channels):
+        near = timely < 3 and beams.old[c] != 0 and is_near(beams, c, t_ns)
+        if near and not is_blocked(params, adaptive, c):
+            beams.accepted[c] = 1
         if beams.accepted[c] == 0:
             continue
         dx, dy = beams.footprint_m[3 * c] - x_m, beams.footprint_m[3 * c + 1] - y_m
@@ -283,4 +297,4 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
 def release_beams(beams):
     """Forget which beams agree: they give no normal any more."""
     beams.inconsistent = 0
-    beams.accepted[:] = 0
+    beams.accepted[:] = beams.old[:] = 0

@@ -28,6 +28,19 @@ def half_squared_distance(beams, c):
 
 
 @jit
+def plausible_bend_m(params, adaptive):
+    """How far ground as curved as a sphere of the stand-off leaves its plane under the farthest beam [m].
+
+    A twentieth of the stand-off at most: wide rings meet such ground seldom, and faults as large do harm.
+    """
+    beams, farthest_m2 = adaptive.beams, 0.0
+    for c in range(params.n_channels):
+        if beams.accepted[c] != 0:
+            farthest_m2 = max(farthest_m2, half_squared_distance(beams, c))
+    return min(farthest_m2 / params.offset_m, 0.05 * params.offset_m)
+
+
+@jit
 def flat_height(beams, curvature, c):
     """Height of a beam's footprint, corrected for the curvature [m]."""
     return beams.footprint_m[3 * c + 2] - curvature * half_squared_distance(beams, c)

@@ -10,7 +10,7 @@ until the deviation changes.
 
 import math
 
-from surffollow.forecast.attitude.beam_detection import is_recent
+from surffollow.forecast.attitude.beam_times import is_recent
 from surffollow.forecast.attitude.plane_fit import slope_gain
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import rotate, rotation_between, to_world

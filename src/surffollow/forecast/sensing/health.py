@@ -79,17 +79,20 @@ def observe_channels(params, health, sense, now_ns):
 
 @jit
 def beams_left_out(params, adaptive):
-    """Bit per beam of a plane that was not used for long, although it reads: the others outvote it.
+    """Bit per beam that was not used for long, although it reads; and of these, per beam that is too old.
 
-    An edge leaves out a beam for less than LONG_GAP_NS.
+    The others outvote it, or its readings are older than theirs. Without it there may be no plane at all. An
+    edge leaves out a beam for less than LONG_GAP_NS.
     """
-    health, now_ns, left_out = adaptive.health, adaptive.clock.now_ns, 0
+    health, now_ns, left_out, old = adaptive.health, adaptive.clock.now_ns, 0, 0
     for c in range(params.n_channels):
-        if adaptive.beams.accepted[c] != 0 or adaptive.plane.count == 0:
+        late = adaptive.beams.old[c] != 0
+        if adaptive.beams.accepted[c] != 0 or (adaptive.plane.count == 0 and not late):
             health.used_ns[c] = now_ns
         elif now_ns - health.used_ns[c] > quantities.LONG_GAP_NS:
             left_out |= 1 << c
-    return left_out
+            old |= (1 if late else 0) << c
+    return left_out, old
 
 
 @jit
@@ -115,14 +118,14 @@ def is_outside(params, adaptive):
 
 
 @jit_inlined
-def present_health(params, adaptive, stuck, lost, silent, left_out):
+def present_health(params, adaptive, stuck, lost, silent, left_out, old):
     """Health and its reason without hysteresis; the gravest one.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`
-    stuck, lost : bool      as `is_stuck` and `is_lost` say
-    silent, left_out : int  bit per channel without readings, and per beam that is not used
+    stuck, lost : bool           as `is_stuck` and `is_lost` say
+    silent, left_out, old : int  bit per channel without readings, per beam not used, and per one too old
 
     Returns
     -------
@@ -145,6 +148,7 @@ def present_health(params, adaptive, stuck, lost, silent, left_out):
         (adaptive.beams.inconsistent != 0, layout.REASON_SENSORS),
         (adaptive.rotation.phase == ROTATION_FAILED, layout.REASON_ROTATION),
         (silent != 0, layout.REASON_SILENT | silent_bits),
+        (old != 0, layout.REASON_OLD | old << layout.REASON_CHANNELS),
         (left_out != 0, layout.REASON_LEFT_OUT | left_out << layout.REASON_CHANNELS),
         (is_late(params, adaptive), layout.REASON_LATE),
         (adaptive.repeats.unused != 0, layout.REASON_REPEATED),
@@ -176,8 +180,9 @@ def update_health(params, adaptive, sense, close):
         health.unseen = 1
     stuck, lost = is_stuck(adaptive), is_lost(params, adaptive)
     count_outside(health, sense)
-    silent, left_out = observe_channels(params, health, sense, now_ns), beams_left_out(params, adaptive)
-    state, reason = present_health(params, adaptive, stuck, lost, silent, left_out)
+    silent = observe_channels(params, health, sense, now_ns)
+    left_out, old = beams_left_out(params, adaptive)
+    state, reason = present_health(params, adaptive, stuck, lost, silent, left_out, old)
     if state != health.candidate:
         health.candidate, health.since_ns = state, now_ns
     # a worse state is published after a controller period

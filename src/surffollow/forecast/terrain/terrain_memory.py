@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from surffollow.forecast.quantities import LONG_GAP_NS
 from surffollow.forecast.reference_scales import dimensionless_time
+from surffollow.forecast.terrain.bridges import bridge_gaps, longest_hole_m
 from surffollow.forecast.terrain.preview_schedule import preview_window
 from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.dtypes import zeros
@@ -112,8 +113,8 @@ def read_preview(memory, params, state, inputs):
         travel = first + i.preview_step_m * k
         h = read_height(memory, (x + travel * ux) / d.length, (y + travel * uy) / d.length, before_ns)
         i.preview_m[k] = h * d.length
-        if math.isfinite(h):
-            i.n_preview = n
+    most = int(longest_hole_m(state[0].adaptive) * d.length / i.preview_step_m)
+    i.n_preview = n if bridge_gaps(i.preview_m, n, most) > 0 else 0
 
 
 @jit
