@@ -217,6 +217,7 @@ REASON_NAMES = (
     "range stays too long while the tool descends steeply: it may not see the ground",
     "the range is tested: the tool is held or raised until it responds",
     "readings of some sensors are older than those of the others and are left out",
+    "the beam does not point downward: the frame of the pose or the mount is wrong",
 )
 (
     REASON_NONE,
@@ -238,7 +239,8 @@ REASON_NAMES = (
     REASON_DESCENT,
     REASON_TESTED,
     REASON_OLD,
-) = range(19)
+    REASON_UPWARD,
+) = range(20)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

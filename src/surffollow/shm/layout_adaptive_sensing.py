@@ -87,6 +87,7 @@ class Health(Schema):
     losses = I64(doc="losses of channel 0 as counted in the cycle before")
     outside = I64(doc="readings of channel 0 outside the window since the last one inside it")
     close_count = I64(doc="samples in a row nearer than too_close_m")
+    upward = I64(doc="1: the beam of the newest sample does not point downward")
     reading_ns = I64(BEAMS, unit="ns", doc="arrival of the newest reading per channel; 0: none yet")
     interval_s = F64(BEAMS, unit="s", doc="usual interval of these; 0: not known")
     used_ns = I64(BEAMS, unit="ns", doc="when each beam of a plane was last used, or has begun")

@@ -45,12 +45,13 @@ def is_uncertain(params, adaptive, silent):
 def is_lost(params, adaptive):
     """Whether no sample entered a confirmed estimate within the loss time-out.
 
-    An estimate of a single sample is not confirmed. A sensor whose range did not respond, and that
+    An estimate of a single sample is not confirmed. Nor is one
+    under a beam that points upward. A sensor whose range did not respond, and that
     falls silent, has nothing to continue from. Before that, ground that it did not see may have come near; in
     silence it stays so, also when the tool stops.
     """
     estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
-    if estimate.samples == 0 or (stuck and silent):
+    if estimate.samples == 0 or adaptive.health.upward != 0 or (stuck and silent):
         return True
     if adaptive.health.unseen != 0 or (stuck and is_uncertain(params, adaptive, silent)):
         return True
@@ -132,6 +133,8 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
     int, int  numbers of HEALTH_NAMES and REASON_NAMES
     """
     samples, silent_bits = adaptive.estimate.samples, silent << layout.REASON_CHANNELS
+    if adaptive.health.upward != 0:
+        return layout.DROPOUT, layout.REASON_UPWARD
     if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < quantities.USUAL_SAMPLES:
         return layout.FAULT, layout.REASON_NOT_FINITE
     if stuck and not is_dropout(adaptive):
@@ -203,6 +206,13 @@ def count_close(health, close):
     """Count samples in a row near the fold-back; whether they are enough to confirm it."""
     health.close_count = health.close_count + 1 if close else 0
     return health.close_count >= quantities.CONFIRMATION_SAMPLES
+
+
+@jit
+def note_beam(health, upward):
+    """Note whether the beam of a sample points upward, and ends on no ground; returns that."""
+    health.upward = 1 if upward else 0
+    return upward
 
 
 @jit

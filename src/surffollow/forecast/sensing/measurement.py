@@ -46,6 +46,8 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     if t <= adaptive.estimate.sample_ns or not responds or adaptive.repeats.unused != 0:
         return
     x, y, h, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
+    if health.note_beam(adaptive.health, h >= sensor_z):
+        return
     close = health.count_close(adaptive.health, range_m < params.too_close_m)
     if close or fold.close != 0:
         fold_back.watch_fold_back(params, fold, range_m, sensor_z)
