@@ -123,7 +123,7 @@ def test_the_commands_map_option_knows_its_formats_and_refuses_others(
     path, runner = str(make_recording(cycles=CYCLES)), CliRunner()
     wrong = runner.invoke(replay_command, [path, "--map", str(tmp_path / "map.wurst")])
     assert isinstance(wrong.exception, UsageError)
-    assert ".txt, .npz, .asc" in str(wrong.exception)
+    assert ".txt, .map, .npz, .asc" in str(wrong.exception)
     assert not (tmp_path / "map.wurst").exists()
     assert runner.invoke(replay_command, [path, "--map", str(tmp_path / "map.asc")]).exit_code == 0
     assert (tmp_path / "map.asc").read_text().startswith("ncols")
