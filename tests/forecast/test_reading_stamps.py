@@ -10,7 +10,8 @@ import pytest
 from surffollow import Follower
 from surffollow.benchmark.hazard_scenarios import FAR_M, NEAR_M, STANDOFF_M, draw
 from surffollow.benchmark.hazards import PLoop, play
-from surffollow.follower.reading_stamps import ReadingStamps, ReferenceTime
+from surffollow.follower.reading_stamps import ReadingStamps
+from surffollow.follower.reference_time import ReferenceTime
 
 MS = 1_000_000
 BEGIN = 1000 * MS

@@ -872,7 +872,7 @@ typedef struct sf_map_header {
   int64_t tile_shift; /* dirty tiles are squares of 2^tile_shift grids */
   int64_t tiles_x; /* dirty tiles per row of tiles */
   double region_m[4]; /* [m] the user's region: x_min, y_min, x_max, y_max */
-  int64_t params_hash; /* of the service's parameters in force; 0: nobody ever held the pose, or at its requested end */
+  int64_t params_hash; /* of the service's parameters in force; 0: no client has held the pose, or its end was requested */
   SF_ALIGNAS(64) double finest_grid_m; /* [m] finest grid that position accuracy allows */
   int64_t rounding; /* ROUND_UNBIASED or ROUND_PAPER */
   double gate_m; /* [m] samples farther from the grid's mean are outliers; 0: no gate */

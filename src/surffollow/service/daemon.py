@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 
 from surffollow.config.service import ServiceConfig, seconds
-from surffollow.config.stop_causes import stop_names
 from surffollow.errors import ServiceError
 from surffollow.forecast.step import sf_reset
 from surffollow.hw.driver import ConversionQueue, Driver, reports_of
@@ -34,6 +33,7 @@ from surffollow.service.initialise import (
     make_sample_ring,
     stop_after_end,
 )
+from surffollow.service.kept_stop import text_at_start
 from surffollow.service.mapper import run_map
 from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.messages import STDOUT, Messages
@@ -185,18 +185,8 @@ class Daemon:
     def _report_stop(self, differ: bool) -> None:
         """Report a stop with which the service starts; `differ`: the parameters are not those before."""
         causes = int(self.mem.state[0]["stop"])
-        if differ:
-            self.messages.report(
-                "the service before ended with other parameters in force: stopped until the pose's "
-                "holder has set its own and resets the stop"
-            )
-        elif causes:
-            names = ", ".join(stop_names(causes))
-            self.messages.report(
-                f"starts with a latched stop ({names}): no demand is valid until the pose's holder resets it "
-                "(reset_stop(), sf_stop_reset, surffollow simulate --reset-stop)"
-            )
         if causes:
+            self.messages.report(text_at_start(causes, differ))
             self._heartbeat.begin_stopped(causes)
 
     def _prioritise_cycle(self, thread: int) -> None:

@@ -119,6 +119,19 @@ def kept_stop_owner(name: str) -> int:
         return NO_USER
 
 
+def text_at_start(causes: int, differ: bool) -> str:
+    """Text about a stop with which a service starts; `differ`: the parameters are not those before."""
+    if differ:
+        return (
+            "the service before ended with other parameters in force: stopped until the pose's holder has "
+            "set its own and resets the stop"
+        )
+    return (
+        f"starts with a latched stop ({', '.join(stop_names(causes))}): no demand is valid until the pose's "
+        "holder resets it (reset_stop(), sf_stop_reset, surffollow simulate --reset-stop)"
+    )
+
+
 def forget_stop(name: str) -> bool:
     """Remove what a purge has kept; False when there was nothing."""
     return unlink(name + ENDING)

@@ -75,7 +75,7 @@ class MapHeader(Schema):
     tiles_x = I64(doc="dirty tiles per row of tiles")
     region_m = F64(4, unit="m", doc="the user's region: x_min, y_min, x_max, y_max")
     params_hash = I64(
-        doc="of the service's parameters in force; 0: nobody ever held the pose, or at its requested end"
+        doc="of the service's parameters in force; 0: no client has held the pose, or its end was requested"
     )
 
     finest_grid_m = F64(align=64, unit="m", doc="finest grid that position accuracy allows")

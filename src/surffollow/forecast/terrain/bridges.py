@@ -4,20 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.forecast.terrain.terrain_buffer import CELL_M, FILLED_CELLS, HOLE_CELLS
+from surffollow.forecast.terrain.terrain_buffer import BRIDGED_TRAVELS, CELL_M, HOLE_CELLS, usual_travel_m
 from surffollow.shm.jit import jit
 
 
 @jit
-def usual_travel_m(adaptive):
-    """Usual travel between two samples, as far as it is bridged [m]."""
-    return min(adaptive.kinematics.speed_mps * adaptive.prediction.interval_s, FILLED_CELLS * CELL_M)
-
-
-@jit
 def longest_hole_m(adaptive):
-    """Longest hole that is bridged [m]: one and a half times the usual travel, as the terrain buffer does."""
-    return max(HOLE_CELLS * CELL_M, 1.5 * usual_travel_m(adaptive))
+    """Longest hole that is bridged [m]: that of the terrain buffer."""
+    return max(HOLE_CELLS * CELL_M, BRIDGED_TRAVELS * usual_travel_m(adaptive))
 
 
 @jit

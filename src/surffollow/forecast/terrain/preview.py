@@ -7,6 +7,7 @@ from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.quantities import USUAL_SAMPLES
+from surffollow.forecast.sensing.kinematics import is_at_rest
 from surffollow.forecast.terrain import known_ground, terrain_buffer
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
@@ -86,7 +87,7 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
     known, ground, leads = adaptive.known, adaptive.preview.ground_m, terrain_buffer.sensor_leads(adaptive)
     if not leads and adaptive.estimate.arc_length_m < known.trusted_from_m:
         return 0
-    if leads and adaptive.kinematics.speed_mps == 0.0:
+    if leads and is_at_rest(adaptive.kinematics):
         ground[:] = known_ground.height_at_rest(adaptive, s_m)
         return HORIZON if math.isfinite(ground[0]) else 0
     bias_m, periods = 0.0 if leads else known.bias_m[known_ground.known_source(adaptive)], 0

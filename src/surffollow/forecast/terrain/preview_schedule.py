@@ -9,7 +9,7 @@ from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.reference_scales import dimensionless_time, is_unscaled
 from surffollow.forecast.sensing import kinematics, sample_hold
-from surffollow.forecast.terrain import bridges, known_ground
+from surffollow.forecast.terrain import known_ground, terrain_buffer
 from surffollow.shm.conversion import FLAG_INVALID, conversion_channel, conversion_counts, conversion_flags
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
@@ -83,7 +83,7 @@ def preview_window(params, state, inputs):
         return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     v = motion.speed_mps
     # an earlier pass has a sample on either side, as far away as two of this one are from each other
-    margin = v * axis_model.PERIOD_S + known_ground.REGISTRATION_M + bridges.usual_travel_m(adaptive)
+    margin = v * axis_model.PERIOD_S + known_ground.REGISTRATION_M + terrain_buffer.usual_travel_m(adaptive)
     here = v * (now_ns - pose_t_ns) * 1e-9
     at = here - v * adaptive.latency.delay_s + sample.lead_m  # the sample
     first, last = here, here + v * axis_model.PERIOD_S * HORIZON

@@ -6,19 +6,21 @@ After a turn the path leads elsewhere; cells that do not lie on it are ignored.
 import math
 
 from surffollow.forecast.quantities import APART_M
+from surffollow.forecast.sensing.kinematics import is_at_rest
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
 CELL_M = 1e-3  # length of a cell along the path, side of a cell of the terrain memory
 HOLE_CELLS = 8  # longer holes are not bridged …
 FILLED_CELLS = BUFFER_CELLS // 8  # … but for those of the usual travel between two samples, up to so many
+BRIDGED_TRAVELS = 1.5  # usual travels between two samples: a longer hole has lost one
 
 
 @jit
 def point_at(adaptive, s_m):
     """Point of the path at an arc length, straight through the newest footprint [m]."""
     kinematics, sample, d = adaptive.kinematics, adaptive.sample, s_m - adaptive.estimate.arc_length_m
-    if kinematics.speed_mps == 0.0:
+    if is_at_rest(kinematics):
         return sample.x_m + d * sample.heading_x, sample.y_m + d * sample.heading_y
     t = d / kinematics.speed_mps
     return sample.x_m + t * kinematics.velocity_x_mps, sample.y_m + t * kinematics.velocity_y_mps
@@ -55,6 +57,12 @@ def _fill_cell(adaptive, s_m, h_m):
 
 
 @jit
+def usual_travel_m(adaptive):
+    """Usual travel between two samples, as far as it is bridged [m]."""
+    return min(adaptive.kinematics.speed_mps * adaptive.prediction.interval_s, FILLED_CELLS * CELL_M)
+
+
+@jit
 def store_ground(adaptive, s_m, h_m):
     """Store a height at its arc length, and fill the cells between it and the one before on a straight line.
 
@@ -62,8 +70,7 @@ def store_ground(adaptive, s_m, h_m):
     """
     buffer = adaptive.buffer
     gap_m = s_m - buffer.newest_arc_length_m
-    usual_m = min(adaptive.kinematics.speed_mps * adaptive.prediction.interval_s, FILLED_CELLS * CELL_M)
-    if (HOLE_CELLS - 1) * CELL_M < gap_m < 1.5 * usual_m:
+    if (HOLE_CELLS - 1) * CELL_M < gap_m < BRIDGED_TRAVELS * usual_travel_m(adaptive):
         for k in range(1, int(gap_m / CELL_M)):
             h = buffer.newest_height_m + (h_m - buffer.newest_height_m) * k * CELL_M / gap_m
             _fill_cell(adaptive, buffer.newest_arc_length_m + k * CELL_M, h)
@@ -77,8 +84,11 @@ def store_ground_under(adaptive, s_m, h_m):
 
     Heights that channel 0 is compared with are then of that channel alone, or of before the rest.
     """
-    rests = adaptive.kinematics.speed_mps == 0.0
-    if not rests if sensor_leads(adaptive) else adaptive.lookahead.lead_m == 0.0:
+    if sensor_leads(adaptive):
+        stores = not is_at_rest(adaptive.kinematics)
+    else:
+        stores = adaptive.lookahead.lead_m == 0.0
+    if stores:
         store_ground(adaptive, s_m, h_m)
 
 
