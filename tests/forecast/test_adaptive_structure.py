@@ -27,6 +27,7 @@ OWNERS = {
     "latency": "latency_identification",
     "sample": "measurement",
     "health": "health",
+    "frame": "frame_check",
     "run": "constant_ranges",
     "response": "response",
     "descent": "descent",

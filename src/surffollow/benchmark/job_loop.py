@@ -64,6 +64,8 @@ def follow(
     older_s: float = 0.0,
     pose_older_s: float = 0.0,
     ahead_m: float = 0.0,
+    height_sign: float = 1.0,
+    above_m: float = 0.0,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
@@ -74,13 +76,15 @@ def follow(
     `height_noise_m`, `place_noise_m`: standard deviation of the height, of x and of y in a pose [m].
     `older_s`, `pose_older_s`: by which timestamps of readings and of poses are set back [s].
     `ahead_m`: distance of the sensor ahead of the tool [m].
+    `height_sign`: −1: heights of poses are negated, and demands are applied to these. `above_m`: height above
+    the stand-off at which the tool begins [m].
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
     near_m, far_m = job.window_m
     sensors = [{"near_m": near_m, "far_m": far_m, "position_m": (ahead_m, 0.0, 0.0)}]
     f = Follower({"plant": plant, "sensors": sensors}, offset_m=job.standoff_m)
-    z = z_plain = ground_m(0.0, 0.0) + job.standoff_m
+    z = z_plain = ground_m(0.0, 0.0) + job.standoff_m + above_m
     v, target, dt, clearance, states, coming = 0.0, z, 1e-3, [], [], []
     pose_ms, reading_ms = round(1e3 * job.pose_s), round(1e3 * job.reading_s)
     for ms in range(round(1e3 * seconds)):
@@ -93,7 +97,7 @@ def follow(
         if ms % pose_ms == 0:
             z_plain = z + (height_noise_m * float(rng.standard_normal()) if height_noise_m else 0.0)
             aside = place_noise_m * rng.standard_normal(2) if place_noise_m else (0.0, 0.0)
-            pose = (x + aside[0], aside[1], z_plain, 0.0, 0.0, 0.0, 1.0)
+            pose = (x + aside[0], aside[1], height_sign * z_plain, 0.0, 0.0, 0.0, 1.0)
             f.pose(t_ns - round(1e9 * pose_older_s), pose)
         if ms % reading_ms == 0:
             seen = ground_m(x + ahead_m, t) if ahead_m else ground
@@ -110,7 +114,7 @@ def follow(
         if ms % pose_ms == 0:
             demand = float(f.step(t_ns, [math.nan])[2])
             if not plain:
-                target = z_plain + demand
+                target = z_plain + height_sign * demand
             if ms > 100 * seconds:
                 clearance.append(z - ground)
                 states.append(f.state())

@@ -3,6 +3,7 @@
 from surffollow.forecast.attitude.rotation_response import reset_rotation
 from surffollow.forecast.estimation.estimate import discard_estimate
 from surffollow.forecast.sensing.descent import reset_descent
+from surffollow.forecast.sensing.frame_check import reset_frame
 from surffollow.forecast.sensing.repeated_ranges import reset_repeats
 from surffollow.forecast.sensing.response import reset_response
 from surffollow.forecast.setpoint.setpoint_limits import release_setpoint
@@ -58,6 +59,7 @@ def forget_surface(state):
     reset_response(adaptive.response)
     reset_repeats(adaptive.repeats)
     reset_descent(adaptive.descent)
+    reset_frame(adaptive.frame)
     reset_rotation(adaptive.rotation)
     release_setpoint(adaptive.setpoint)
     withdraw_preview(adaptive.preview)

@@ -25,6 +25,7 @@ from surffollow.shm.layout_adaptive_sensing import (
     Clock,
     ConstantRanges,
     Descent,
+    Frame,
     Health,
     Hold,
     Kinematics,
@@ -48,8 +49,8 @@ OK, SUSPECT, DROPOUT, STUCK, OUT_OF_RANGE, FAULT = 0, 1, 2, 3, 4, 5
 HEALTH_NAMES = ("OK", "SUSPECT", "DROPOUT", "STUCK", "OUT_OF_RANGE", "FAULT")
 
 # latched faults of the follower: fault n is bit n - 1
-FAULT_NOT_FINITE, FAULT_STUCK, FAULT_LOST, FAULT_CLOSE, FAULT_CLOCK = 1, 2, 4, 8, 16
-FAULT_NAMES = ("NOT_FINITE", "STUCK", "LOST", "TOO_CLOSE", "CLOCK")
+FAULT_NOT_FINITE, FAULT_STUCK, FAULT_LOST, FAULT_CLOSE, FAULT_CLOCK, FAULT_REVERSED = 1, 2, 4, 8, 16, 32
+FAULT_NAMES = ("NOT_FINITE", "STUCK", "LOST", "TOO_CLOSE", "CLOCK", "REVERSED")
 
 
 class Controller(Schema):
@@ -168,6 +169,7 @@ class AdaptiveState(Schema):
     latency = Nested(Latency)
     sample = Nested(Sample)
     health = Nested(Health)
+    frame = Nested(Frame)
     run = Nested(ConstantRanges)
     response = Nested(Response)
     repeats = Nested(Repeats)
@@ -218,6 +220,7 @@ REASON_NAMES = (
     "the range is tested: the tool is held or raised until it responds",
     "readings of some sensors are older than those of the others and are left out",
     "the beam does not point downward: the frame of the pose or the mount is wrong",
+    "range shrinks when the tool rises: its height has the wrong sign, or the sensor is in its fold-back",
 )
 (
     REASON_NONE,
@@ -240,7 +243,8 @@ REASON_NAMES = (
     REASON_TESTED,
     REASON_OLD,
     REASON_UPWARD,
-) = range(20)
+    REASON_REVERSED,
+) = range(21)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

@@ -99,6 +99,23 @@ RESPONSE_RUN, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_FAILED = range(4)
 NO_SIGN, SIGN_FOR_SHIFT, SIGN_FOR_HOLD = range(3)  # of a fault, in a run of constant ranges
 
 
+FRAME_UNKNOWN, FRAME_HELD, FRAME_LIFTED, FRAME_RIGHT, FRAME_REVERSED = range(5)
+
+
+class Frame(Schema):
+    """Check whether the range grows when the tool rises (`frame_check`)."""
+
+    phase = I64(doc="FRAME_UNKNOWN, held, lifted, FRAME_RIGHT or FRAME_REVERSED")
+    begun_ns = I64(unit="ns", doc="first sample of the phase; 0: none")
+    setpoint_m = F64(unit="m", doc="setpoint while the tool is held or lifted")
+    low_z_m = F64(unit="m", doc="least height of the tool in the phase")
+    top_z_m = F64(unit="m", doc="greatest one")
+    least_difference_m = F64(unit="m", doc="least range minus height of the tool in the phase")
+    most_difference_m = F64(unit="m", doc="greatest one")
+    least_sum_m = F64(unit="m", doc="least range plus height of the tool in the phase")
+    most_sum_m = F64(unit="m", doc="greatest one")
+
+
 class ConstantRanges(Schema):
     """Run of constant ranges under a tool that moves (`constant_ranges`)."""
 

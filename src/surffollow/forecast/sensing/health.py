@@ -4,6 +4,7 @@ from surffollow.forecast import quantities
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.quantities import follow_interval, tolerated_gap_s
 from surffollow.forecast.sensing.constant_ranges import moves_tool
+from surffollow.forecast.sensing.frame_check import is_reversed, moves_to_check
 from surffollow.forecast.sensing.kinematics import has_jumped
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.range_prediction import predict_range
@@ -45,13 +46,14 @@ def is_uncertain(params, adaptive, silent):
 def is_lost(params, adaptive):
     """Whether no sample entered a confirmed estimate within the loss time-out.
 
-    An estimate of a single sample is not confirmed. Nor is one
-    under a beam that points upward. A sensor whose range did not respond, and that
-    falls silent, has nothing to continue from. Before that, ground that it did not see may have come near; in
-    silence it stays so, also when the tool stops.
+    An estimate of a single sample is not confirmed, and none is in a frame that is wrong. A sensor whose
+    range did not respond, and that falls silent, has nothing to continue from. Before that, ground that it
+    did not see may have come near; in silence it stays so, also when the tool stops.
     """
     estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
-    if estimate.samples == 0 or adaptive.health.upward != 0 or (stuck and silent):
+    if adaptive.health.upward != 0 or is_reversed(adaptive.frame):
+        return True
+    if estimate.samples == 0 or (stuck and silent):
         return True
     if adaptive.health.unseen != 0 or (stuck and is_uncertain(params, adaptive, silent)):
         return True
@@ -135,6 +137,8 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
     samples, silent_bits = adaptive.estimate.samples, silent << layout.REASON_CHANNELS
     if adaptive.health.upward != 0:
         return layout.DROPOUT, layout.REASON_UPWARD
+    if is_reversed(adaptive.frame):
+        return layout.FAULT, layout.REASON_REVERSED
     if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < quantities.USUAL_SAMPLES:
         return layout.FAULT, layout.REASON_NOT_FINITE
     if stuck and not is_dropout(adaptive):
@@ -160,7 +164,8 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
     ):
         if found:
             return layout.SUSPECT, reason
-    return layout.OK, layout.REASON_TESTED if moves_tool(adaptive.response) else layout.REASON_NONE
+    tested = moves_tool(adaptive.response) or moves_to_check(adaptive.frame)
+    return layout.OK, layout.REASON_TESTED if tested else layout.REASON_NONE
 
 
 @jit_inlined
@@ -197,6 +202,7 @@ def update_health(params, adaptive, sense, close):
         health.state, health.reason = state, reason
     health.faults |= layout.FAULT_STUCK if stuck else 0
     health.faults |= layout.FAULT_CLOSE if close else 0
+    health.faults |= layout.FAULT_REVERSED if is_reversed(adaptive.frame) else 0
     health.faults |= layout.FAULT_LOST if lost and not stuck and adaptive.estimate.samples > 0 else 0
     return stuck, lost
 

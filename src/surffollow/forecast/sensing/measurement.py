@@ -14,6 +14,7 @@ from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import follow_usual
 from surffollow.forecast.sensing import (
     descent,
+    frame_check,
     health,
     kinematics,
     latency_identification,
@@ -42,7 +43,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     is_new, channel, range_m, t = take_sample(params, adaptive, sense, inputs, output, pose)
     if not is_new:
         return
-    responds, t = observe_sensor(params, adaptive, sense, t, range_m, pose)
+    responds, t = observe_sensor(params, adaptive, sense, t, range_m, pose, fold.close != 0)
     if t <= adaptive.estimate.sample_ns or not responds or adaptive.repeats.unused != 0:
         return
     x, y, h, sensor_z = footprint(pose, params.tool_from_sensor, channel, range_m)
@@ -115,7 +116,7 @@ def take_sample(params, adaptive, sense, inputs, output, pose):
 
 
 @jit_inlined
-def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
+def observe_sensor(params, adaptive, sense, t_ns, range_m, pose, close):
     """Test the sensor with a sample: whether it responds, and the sample's time less the latency.
 
     Parameters
@@ -124,6 +125,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     t_ns : int64         timestamp of the sample
     range_m : float64    its range [m]
     pose : (7,) float64  receives the pose at the sample's time
+    close : bool         the sensor may be in its fold-back
 
     Returns
     -------
@@ -140,6 +142,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose):
     was_stuck = response.is_unresponsive(adaptive.response)
     if orients(params):
         range_m = rotation_response.mean_range(params, adaptive.beams, sense, t_ns, range_m)
+    frame_check.observe_frame(params, adaptive, close, t_ns, range_m, pose[2])
     spread_m = descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
     response.observe_response(params, adaptive, t_ns, range_m, pose[2], spread_m)
     responds = not response.is_unresponsive(adaptive.response)

@@ -2,6 +2,7 @@
 
 import math
 
+from surffollow.forecast.sensing.frame_check import moves_to_check
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_RUN
 
@@ -30,6 +31,8 @@ def setpoint_range(adaptive, wait_s):
     adaptive : record of `AdaptiveState`
     wait_s : float64  until the demand acts [s]
     """
+    if moves_to_check(adaptive.frame):
+        return adaptive.frame.setpoint_m, adaptive.frame.setpoint_m
     lowest_m, highest_m, response = -math.inf, math.inf, adaptive.response
     descends = response.phase == RESPONSE_RUN and response.lift_m > 0.0 and response.rises == 0
     if descends and -response.lead_m > max(response.lift_m, adaptive.run.rate_mps * adaptive.plant.tau_s):

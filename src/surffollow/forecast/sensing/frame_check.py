@@ -1,0 +1,117 @@
+"""Frame check: whether the range grows when the tool rises.
+
+Where only the height of a pose is negated (z points down), each demand leads away from the stand-off. So it
+does with a triangulation sensor nearer than its near limit. The height z of the tool and the range r show it
+at the first motion:
+
+    right:     r − z stays while z changes
+    reversed:  r + z stays while z changes
+
+It is decided when z has changed by more than D: one of them has then changed by less than half as much as
+the other. Ground that rises or falls twice as fast as the tool looks reversed, too. The tool is therefore
+held. If r + z then changes by more than 2 D, the ground moves, and the check begins anew; so it does where
+another controller leads the tool. Otherwise the tool is lifted by 2 D, and z and r decide once more.
+"""
+
+from surffollow.forecast.estimation.noise import range_noise_m
+from surffollow.forecast.sensing.constant_ranges import MIN_MEANS
+from surffollow.forecast.sensing.response import answer_s
+from surffollow.forecast.sensing.sample_hold import count_m
+from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.layout_adaptive_sensing import (
+    FRAME_HELD,
+    FRAME_LIFTED,
+    FRAME_REVERSED,
+    FRAME_RIGHT,
+    FRAME_UNKNOWN,
+)
+
+MOTION_SIGMAS = 6.0  # of noise in D, over which a hundred ranges spread
+MOTION_COUNTS = 4.0  # of a coarse sensor in D, which has two of them in half of it
+MOTION_SHARE = 0.05  # of the stand-off in D: at a start the noise is not known, and may be 1 %
+LIFT = 2.0  # times D: the lift, and a change of r + z that shows that the ground moves
+STAYS = 0.5  # of the other change at most: that one is twice the motion, this one is noise
+LOOKS_REVERSED = 0.25  # the same before the tool is held: over a ramp that begins with the check it is 0.3
+
+
+@jit
+def _begin_window(frame, phase, t_ns, range_m, tool_z_m):
+    """Begin a phase, and the extremes of height, difference and sum, with a sample."""
+    frame.phase, frame.begun_ns = phase, t_ns
+    frame.low_z_m = frame.top_z_m = tool_z_m
+    frame.least_difference_m = frame.most_difference_m = range_m - tool_z_m
+    frame.least_sum_m = frame.most_sum_m = range_m + tool_z_m
+
+
+@jit
+def _decide(params, adaptive, t_ns, range_m, tool_z_m):
+    """Go from a phase to the next, if the extremes with the newest sample decide on it."""
+    frame = adaptive.frame
+    difference_m = frame.most_difference_m - frame.least_difference_m
+    sum_m = frame.most_sum_m - frame.least_sum_m
+    noise_m = max(MOTION_SIGMAS * range_noise_m(adaptive.noise), MOTION_COUNTS * count_m(adaptive.hold))
+    least_m = max(noise_m, MOTION_SHARE * params.offset_m)
+    moved = frame.top_z_m - frame.low_z_m > least_m
+    answers = (t_ns - frame.begun_ns) * 1e-9 / answer_s(adaptive, MIN_MEANS)  # times of an answer
+    if moved and difference_m < STAYS * sum_m:
+        frame.phase = FRAME_RIGHT
+    elif frame.phase == FRAME_HELD:
+        if answers > 1.0 and abs(tool_z_m - frame.setpoint_m) < least_m:  # it obeys
+            frame.setpoint_m = tool_z_m + LIFT * least_m
+            _begin_window(frame, FRAME_LIFTED, t_ns, range_m, tool_z_m)
+        elif answers > 2.0 or sum_m > LIFT * least_m:
+            _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
+    elif frame.phase == FRAME_LIFTED:
+        if moved and sum_m < STAYS * difference_m:
+            frame.phase = FRAME_REVERSED
+        elif answers > 1.0:
+            _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
+    elif moved and sum_m < LOOKS_REVERSED * difference_m:
+        frame.setpoint_m = tool_z_m
+        _begin_window(frame, FRAME_HELD, t_ns, range_m, tool_z_m)
+
+
+@jit_inlined
+def observe_frame(params, adaptive, close, t_ns, range_m, tool_z_m):
+    """Update the check with a sample of channel 0, until it is decided.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`frame` updated)
+    close : bool        the sensor may be nearer than its near limit, and is known to be
+    t_ns : int64        timestamp
+    range_m : float64   range [m]
+    tool_z_m : float64  height of the tool at that time [m]
+    """
+    frame = adaptive.frame
+    if frame.phase >= FRAME_RIGHT:
+        return
+    begins = close or frame.begun_ns == 0 or t_ns <= frame.begun_ns
+    if begins or frame.begun_ns < adaptive.kinematics.jump_ns <= t_ns:
+        _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
+        return
+    frame.low_z_m, frame.top_z_m = min(frame.low_z_m, tool_z_m), max(frame.top_z_m, tool_z_m)
+    difference_m, sum_m = range_m - tool_z_m, range_m + tool_z_m
+    frame.least_difference_m = min(frame.least_difference_m, difference_m)
+    frame.most_difference_m = max(frame.most_difference_m, difference_m)
+    frame.least_sum_m = min(frame.least_sum_m, sum_m)
+    frame.most_sum_m = max(frame.most_sum_m, sum_m)
+    _decide(params, adaptive, t_ns, range_m, tool_z_m)
+
+
+@jit
+def is_reversed(frame):
+    """Whether the range shrinks when the tool rises."""
+    return frame.phase == FRAME_REVERSED
+
+
+@jit
+def moves_to_check(frame):
+    """Whether the tool is held or lifted by the check, to `frame.setpoint_m`."""
+    return frame.phase == FRAME_HELD or frame.phase == FRAME_LIFTED
+
+
+@jit
+def reset_frame(frame):
+    """Begin the check with the next sample."""
+    frame.phase, frame.begun_ns = FRAME_UNKNOWN, 0
