@@ -51,6 +51,11 @@ VERBS = {
     "device": ("device", "device_command", "Simulate a camera or a speaker beside a base."),
     "wall-follow": ("base", "wall_follow_command", "Follow walls by clients that share a base."),
     "calibrate": ("calibrate", "calibrate_group", "Calibrate a sensor: range table, latency, mount."),
+    "check-robot": (
+        "check_robot",
+        "check_robot_command",
+        "Check frame, units and lag of poses and ranges.",
+    ),
     "print-header": ("print_header", "print_header_command", "Print the C header of the client library."),
     "doctor": ("doctor", "doctor_command", "Say what this machine lacks for hard timing."),
     "latency": ("doctor", "latency_command", "Measure wake-up latency, beside cyclictest."),
