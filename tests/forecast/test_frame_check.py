@@ -17,6 +17,7 @@ from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import (
     FRAME_HELD,
     FRAME_LIFTED,
+    FRAME_LOWERED,
     FRAME_REVERSED,
     FRAME_RIGHT,
     FRAME_UNKNOWN,
@@ -89,6 +90,22 @@ def test_a_reset_begins_the_check_anew():
     assert abs(height_m - 0.1) < 1e-3
 
 
+@pytest.mark.parametrize("name", JOBS)
+def test_a_sensor_ahead_over_hills_is_not_taken_as_reversed(name):
+    """GIVEN the only sensor half a stand-off ahead, and hills THEN nothing is taken as reversed."""
+    job = JOBS[name]
+    s0, tau = job.standoff_m, job.tau_s
+    for seed in range(8):
+        phase, length = np.random.default_rng(seed).uniform((0.0, 2.0), (6.3, 8.0))
+        print(f"{name}: seed {seed}, phase {phase}, length {length}")
+
+        def hills(x: float, t: float, phase: float = phase, length: float = length) -> float:
+            return 0.3 * s0 * math.sin(x / (length * s0) + phase)
+
+        run = follow(job, hills, 25 * tau, speed_mps=0.25 * s0 / tau, ahead_m=0.5 * s0, seed=seed)
+        assert all("REVERSED" not in s["faults"] for s in run.states)
+
+
 @pytest.mark.parametrize("rate", [0.01, 0.02, 0.05, 0.1, 0.2])
 def test_a_pilot_who_climbs_half_as_fast_as_the_ground_is_not_taken_as_reversed(rate):
     """GIVEN a tool that another controller leads over ground that rises twice as fast THEN no fault."""
@@ -135,8 +152,9 @@ class NaiveFrameCheck:
                 self.setpoint_m = z_m + 2.0 * self.least_m
             elif waited_ns > 2 * self.wait_ns or change["sum"] > 2.0 * self.least_m:
                 self.phase, self.samples = FRAME_UNKNOWN, [sample]
-        elif moved and change["sum"] < 0.5 * change["difference"]:
-            self.phase = FRAME_REVERSED
+        elif late and moved and change["sum"] < 0.5 * change["difference"]:
+            self.phase = FRAME_LOWERED if self.phase == FRAME_LIFTED else FRAME_REVERSED
+            self.samples, self.setpoint_m = [sample], self.setpoint_m - 2.0 * self.least_m
         elif late:
             self.phase, self.samples = FRAME_UNKNOWN, [sample]
 
@@ -153,11 +171,11 @@ def test_the_check_is_that_of_its_twin(seed):
     naive = NaiveFrameCheck(max(0.05 * 0.1, 6.0 * 2e-4), int(1e9 * wait_s))
     sign, z, ground, seen = rng.choice([-1.0, 1.0]), 0.2, 0.0, SimpleNamespace(phases=set())
     share, obeys = rng.choice([0.0, 0.5, 2.0]), rng.random() < 0.7
-    for k in range(400):
-        moves = naive.phase in (FRAME_HELD, FRAME_LIFTED) and obeys
+    for k in range(600):
+        moves = naive.phase in (FRAME_HELD, FRAME_LIFTED, FRAME_LOWERED) and obeys
         wanted = naive.setpoint_m if moves else z + 2e-3 * rng.normal()
         step = 0.2 * (wanted - z)
-        z, ground = z + step, ground + share * step * (k < 300)
+        z, ground = z + step, ground + share * step * (k < 500)
         r = 0.1 + sign * (z - 0.2) - ground + 2e-4 * float(rng.standard_normal())
         t_ns = (k + 1) * 10_000_000
         frame_check.observe_frame(params, a, False, t_ns, r, z)

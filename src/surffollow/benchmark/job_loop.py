@@ -66,6 +66,7 @@ def follow(
     ahead_m: float = 0.0,
     height_sign: float = 1.0,
     above_m: float = 0.0,
+    push_mps: Callable[[float], float] | None = None,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
@@ -77,7 +78,7 @@ def follow(
     `older_s`, `pose_older_s`: by which timestamps of readings and of poses are set back [s].
     `ahead_m`: distance of the sensor ahead of the tool [m].
     `height_sign`: −1: heights of poses are negated, and demands are applied to these. `above_m`: height above
-    the stand-off at which the tool begins [m].
+    the stand-off at which the tool begins [m]. `push_mps`: velocity of wind, current or load at a time.
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
@@ -123,5 +124,5 @@ def follow(
             wanted = v + (wanted - 2.0 * job.damping * v) * dt / job.tau_s
         wanted = min(max(wanted, -job.v_max_mps), job.v_max_mps)
         v += min(max(wanted - v, -job.a_max_mps2 * dt), job.a_max_mps2 * dt)
-        z += v * dt
+        z += (v + (push_mps(t) if push_mps else 0.0)) * dt
     return Run(np.array(clearance), states)

@@ -78,6 +78,11 @@ class Plant(Schema):
     error_m2 = F64(N_PLANTS, unit="m^2", doc="their squared errors against the pose reports")
     axis_m = F64(unit="m", doc="observed axis: the model with τ in force, corrected by reports")
     axis_mps = F64(unit="m/s", doc="its velocity")
+    disturbance_mps = F64(unit="m/s", doc="velocity of the tool beyond that of its axis: wind, current, load")
+    mean_m = F64(
+        unit="m", doc="mean distance of the reports above where the observed axis leads, with its sign"
+    )
+    spread_m = F64(unit="m", doc="the same without sign")
     offset_m = F64(unit="m", doc="height of the newest report above the observed axis")
     scatter_m = F64(unit="m", doc="usual distance of a report from where the observed axis leads; 0: unknown")
     coast_scatter_m = F64(unit="m", doc="the same of a constant velocity")

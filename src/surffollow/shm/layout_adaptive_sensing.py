@@ -99,15 +99,15 @@ RESPONSE_RUN, RESPONSE_HOLD, RESPONSE_LIFT, RESPONSE_FAILED = range(4)
 NO_SIGN, SIGN_FOR_SHIFT, SIGN_FOR_HOLD = range(3)  # of a fault, in a run of constant ranges
 
 
-FRAME_UNKNOWN, FRAME_HELD, FRAME_LIFTED, FRAME_RIGHT, FRAME_REVERSED = range(5)
+FRAME_UNKNOWN, FRAME_HELD, FRAME_LIFTED, FRAME_LOWERED, FRAME_RIGHT, FRAME_REVERSED = range(6)
 
 
 class Frame(Schema):
     """Check whether the range grows when the tool rises (`frame_check`)."""
 
-    phase = I64(doc="FRAME_UNKNOWN, held, lifted, FRAME_RIGHT or FRAME_REVERSED")
+    phase = I64(doc="FRAME_UNKNOWN, held, lifted, lowered, FRAME_RIGHT or FRAME_REVERSED")
     begun_ns = I64(unit="ns", doc="first sample of the phase; 0: none")
-    setpoint_m = F64(unit="m", doc="setpoint while the tool is held or lifted")
+    setpoint_m = F64(unit="m", doc="setpoint while the tool is held, lifted or lowered")
     low_z_m = F64(unit="m", doc="least height of the tool in the phase")
     top_z_m = F64(unit="m", doc="greatest one")
     least_difference_m = F64(unit="m", doc="least range minus height of the tool in the phase")

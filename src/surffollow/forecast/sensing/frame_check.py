@@ -10,17 +10,22 @@ at the first motion:
 It is decided when z has changed by more than D: one of them has then changed by less than half as much as
 the other. Ground that rises or falls twice as fast as the tool looks reversed, too. The tool is therefore
 held. If r + z then changes by more than 2 D, the ground moves, and the check begins anew; so it does where
-another controller leads the tool. Otherwise the tool is lifted by 2 D, and z and r decide once more.
+another controller leads the tool. Otherwise the tool is lifted by 2 D, and lowered again. Only where both
+motions look reversed, the height is. A sensor that sees other ground than that under the tool is checked at
+rest.
 """
 
 from surffollow.forecast.estimation.noise import range_noise_m
+from surffollow.forecast.quantities import APART_M
 from surffollow.forecast.sensing.constant_ranges import MIN_MEANS
+from surffollow.forecast.sensing.kinematics import is_at_rest
 from surffollow.forecast.sensing.response import answer_s
 from surffollow.forecast.sensing.sample_hold import count_m
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import (
     FRAME_HELD,
     FRAME_LIFTED,
+    FRAME_LOWERED,
     FRAME_REVERSED,
     FRAME_RIGHT,
     FRAME_UNKNOWN,
@@ -61,9 +66,11 @@ def _decide(params, adaptive, t_ns, range_m, tool_z_m):
             _begin_window(frame, FRAME_LIFTED, t_ns, range_m, tool_z_m)
         elif answers > 2.0 or sum_m > LIFT * least_m:
             _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
-    elif frame.phase == FRAME_LIFTED:
-        if moved and sum_m < STAYS * difference_m:
-            frame.phase = FRAME_REVERSED
+    elif frame.phase == FRAME_LIFTED or frame.phase == FRAME_LOWERED:
+        if moved and answers > 1.0 and sum_m < STAYS * difference_m:
+            next_phase = FRAME_LOWERED if frame.phase == FRAME_LIFTED else FRAME_REVERSED
+            frame.setpoint_m -= LIFT * least_m
+            _begin_window(frame, next_phase, t_ns, range_m, tool_z_m)
         elif answers > 1.0:
             _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
     elif moved and sum_m < LOOKS_REVERSED * difference_m:
@@ -86,7 +93,8 @@ def observe_frame(params, adaptive, close, t_ns, range_m, tool_z_m):
     frame = adaptive.frame
     if frame.phase >= FRAME_RIGHT:
         return
-    begins = close or frame.begun_ns == 0 or t_ns <= frame.begun_ns
+    aside = abs(adaptive.sample.lead_m) >= APART_M and not is_at_rest(adaptive.kinematics)
+    begins = close or aside or frame.begun_ns == 0 or t_ns <= frame.begun_ns
     if begins or frame.begun_ns < adaptive.kinematics.jump_ns <= t_ns:
         _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
         return
@@ -107,8 +115,8 @@ def is_reversed(frame):
 
 @jit
 def moves_to_check(frame):
-    """Whether the tool is held or lifted by the check, to `frame.setpoint_m`."""
-    return frame.phase == FRAME_HELD or frame.phase == FRAME_LIFTED
+    """Whether the tool is held, lifted or lowered by the check, to `frame.setpoint_m`."""
+    return FRAME_HELD <= frame.phase <= FRAME_LOWERED
 
 
 @jit

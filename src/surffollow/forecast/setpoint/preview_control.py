@@ -149,6 +149,30 @@ def least_speed(params, adaptive, known, z_m, standoff_m, hold):
 
 
 @jit
+def lead_back(plan, ground_m, known, z_m, speed_mps, standoff_m):
+    """Let the setpoint lead back a tool that has left the known ground on one side, and does not return.
+
+    The plan changes the velocity of the tool by what its axis can do in a period. Where wind moves it faster,
+    the velocity that is asked for would follow that of the wind.
+
+    Parameters
+    ----------
+    plan : record of `Plan`  `setpoint_m` updated
+    ground_m : float64 array  the ground from now on [m]
+    known : int              known periods of it
+    z_m, speed_mps : float64  tool at the latch time [m, m/s]
+    standoff_m : float64     desired height of the tool above the ground [m]
+    """
+    lowest_m = highest_m = ground_m[0]
+    for k in range(1, known):
+        lowest_m, highest_m = min(lowest_m, ground_m[k]), max(highest_m, ground_m[k])
+    if z_m < lowest_m + standoff_m and speed_mps <= 0.0:
+        plan.setpoint_m = max(plan.setpoint_m, lowest_m + standoff_m)
+    if z_m > highest_m + standoff_m and speed_mps >= 0.0:
+        plan.setpoint_m = min(plan.setpoint_m, highest_m + standoff_m)
+
+
+@jit
 def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     """Solve the plan and invert the axis model: setpoint of the coming period.
 
@@ -156,16 +180,19 @@ def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`plan` updated)
     known : int           known periods of ground
-    z_m, v_mps : float64  axis at the latch time [m, m/s]
+    z_m, v_mps : float64  axis at the latch time [m, m/s], its velocity without the disturbance
     standoff_m : float64  desired height of the tool above the ground [m]
     """
     plan, hold = adaptive.plan, usual_periods(adaptive.controller)
-    solve_plan(params, adaptive, known, z_m, v_mps, standoff_m)
+    disturbance_mps = adaptive.plant.disturbance_mps
+    solve_plan(params, adaptive, known, z_m, v_mps + disturbance_mps, standoff_m)
     next_m = planned_position(plan, hold + 1.0)
     straight_m = planned_position(plan, hold) + 0.5 * (next_m - planned_position(plan, hold - 1.0))
     # one period behind a setpoint the axis is between the place to which its velocity then leads it (alone it
     # is late at edges) and the plan (alone it is early: second passes 1.03 times the error)
     desired_m = straight_m + 0.5 * (next_m - straight_m)
     least_mps = least_speed(params, adaptive, known, z_m, standoff_m, hold)
-    desired_m = z_m + max(desired_m, (hold + 1.0) * PERIOD_S * least_mps)
+    ahead_s = (hold + 1.0) * PERIOD_S
+    desired_m = z_m + max(desired_m, ahead_s * least_mps) - ahead_s * disturbance_mps
     plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, desired_m, hold * PERIOD_S)
+    lead_back(plan, adaptive.preview.ground_m, known, z_m, v_mps + disturbance_mps, standoff_m)

@@ -1,0 +1,73 @@
+"""Wind, current or a load that moves the tool beside its axis."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from surffollow.benchmark.job_loop import BOOM, CELL, Job, follow
+
+DRONE = Job(2.0, 0.3, 0.02, 0.02, 2.0, 4.0, 0.02, (0.2, 10.0))
+JOBS = {"cell": CELL, "boom": BOOM, "drone": DRONE}
+PLACES = {"ahead": 0.5, "below": 0.0}
+
+
+def hills(job: Job, seed: int):
+    """Ground with hills of some 0.2 stand-offs, 40 τ long under a tool at 0.25 stand-offs per τ."""
+    rng = np.random.default_rng([seed, 77])
+    waves = [
+        (10.0 * job.standoff_m * math.exp(rng.uniform(-0.7, 0.7)), rng.uniform(0, 6.3)) for _ in range(3)
+    ]
+    return lambda x, t: sum(0.1 * job.standoff_m * math.sin(2 * math.pi * x / w + p) for w, p in waves)
+
+
+def gusts(job: Job, rms: float, seed: int):
+    """Gusts with periods of 11, 31 and 107 τ, in stand-offs per τ."""
+    phases = np.random.default_rng([seed, 991]).uniform(0, 6.3, 3)
+    scale = rms * job.standoff_m / job.tau_s / 1.22
+    return lambda t: scale * sum(math.sin(t / (k * job.tau_s) + p) for k, p in zip((1.7, 5, 17), phases))
+
+
+@pytest.mark.parametrize("seed", [5])
+@pytest.mark.parametrize("rms", [0.06, 0.12])
+@pytest.mark.parametrize("name", JOBS)
+def test_gusts_do_not_lead_a_tool_behind_its_sensor_into_the_ground(name, rms, seed):
+    """GIVEN the only sensor half a stand-off ahead WHEN gusts push the tool THEN it keeps a good part."""
+    job = JOBS[name]
+    speed, pushes = 0.25 * job.standoff_m / job.tau_s, gusts(job, rms, seed)
+    run = follow(
+        job,
+        hills(job, seed),
+        90 * job.tau_s,
+        speed,
+        ahead_m=0.5 * job.standoff_m,
+        push_mps=pushes,
+        seed=seed,
+    )
+    least = run.clearance_m.min() / job.standoff_m
+    print(
+        f"{name}, gusts {rms}, seed {seed}: least {least:.2f}, RMS {run.rms_m(job) / job.standoff_m:.3f} s0"
+    )
+    assert least > 0.25
+    assert all("VALID" in s["status"] for s in run.states)
+
+
+@pytest.mark.parametrize("push", [-0.1, 0.1])
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("name", JOBS)
+def test_a_steady_push_is_learned(name, place, push):
+    """GIVEN a push of 0.1 stand-offs per τ THEN the error is less than half of that of a P loop."""
+    job = JOBS[name]
+    s0, tau = job.standoff_m, job.tau_s
+    args = (job, hills(job, 3), 110 * tau, 0.25 * s0 / tau)
+    run, plain = (
+        follow(*args, ahead_m=PLACES[place] * s0, push_mps=lambda t: push * s0 / tau, plain=p)
+        for p in (False, True)
+    )
+    error, of_plain = run.rms_m(job) / s0, plain.rms_m(job) / s0
+    tau_share = run.states[-1]["tau_s"] / tau
+    print(f"{name}, {place}, push {push:+}: RMS {error:.3f} s0, P loop {of_plain:.3f}, tau {tau_share:.2f}")
+    assert error < 0.5 * of_plain
+    assert 0.6 < tau_share < 1.6
