@@ -141,18 +141,19 @@ class NaiveFrameCheck:
         moved = change["z"] > self.least_m
         waited_ns = t_ns - self.samples[0][0]
         late = waited_ns > self.wait_ns
+        obeyed = late and abs(z_m - self.setpoint_m) < self.least_m
         if moved and change["difference"] < 0.5 * change["sum"]:
             self.phase = FRAME_RIGHT
         elif self.phase == FRAME_UNKNOWN:
             if moved and change["sum"] < 0.25 * change["difference"]:
                 self.phase, self.samples, self.setpoint_m = FRAME_HELD, [sample], z_m
         elif self.phase == FRAME_HELD:
-            if late and abs(z_m - self.setpoint_m) < self.least_m:
+            if obeyed:
                 self.phase, self.samples = FRAME_LIFTED, [sample]
                 self.setpoint_m = z_m + 2.0 * self.least_m
             elif waited_ns > 2 * self.wait_ns or change["sum"] > 2.0 * self.least_m:
                 self.phase, self.samples = FRAME_UNKNOWN, [sample]
-        elif late and moved and change["sum"] < 0.5 * change["difference"]:
+        elif obeyed and moved and change["sum"] < 0.5 * change["difference"]:
             self.phase = FRAME_LOWERED if self.phase == FRAME_LIFTED else FRAME_REVERSED
             self.samples, self.setpoint_m = [sample], self.setpoint_m - 2.0 * self.least_m
         elif late:

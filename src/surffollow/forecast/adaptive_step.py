@@ -98,7 +98,6 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
         target_m = ahead.ground_m[0] + rate * lead_s + standoff_m
     target_m = setpoint_blend.filter_setpoint(params, adaptive, target_m)
     target_m += tested_setpoint.setpoint_shift_m(adaptive.response)
-    target_m -= adaptive.plant.disturbance_mps * adaptive.plant.tau_s  # the axis lags by it
     planned = adaptive.plan.setpoint_m
     if ahead.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
         planned = max(planned, known_ground.lowest_plan(adaptive, target_m))

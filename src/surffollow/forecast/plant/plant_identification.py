@@ -163,6 +163,7 @@ def update_plant(params, adaptive, sense, inputs):
         return
     if inputs.n_ranges <= 0:  # otherwise the caller latches each answer himself
         record_latch(plant, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS, plant.newest_m)
+    slow = axis_model.is_long((t - plant.t_ns) * 1e-9, plant.tau_configured_s)
     propagate_axes(params, plant, t)
     least = math.inf
     for k in range(N_PLANTS):
@@ -181,7 +182,8 @@ def update_plant(params, adaptive, sense, inputs):
     plant.offset_m = z - plant.axis_m
     plant.mean_m += SLOW_RATE * (e - plant.mean_m)
     plant.spread_m += SLOW_RATE * (abs(e) - plant.spread_m)
-    pushed = abs(plant.mean_m) > ONE_SIDED * plant.spread_m
+    # between slow reports poses with old timestamps, too, are a sluggish axis: a longer τ is right
+    pushed = not slow and abs(plant.mean_m) > ONE_SIDED * plant.spread_m
     adapts = learns(params, adaptive) and params.run == RUN_NORMAL and not pushed
     if not adapts or not least < axis_model.MAX_MODEL_ERROR_M:
         return

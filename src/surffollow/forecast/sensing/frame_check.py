@@ -58,16 +58,17 @@ def _decide(params, adaptive, t_ns, range_m, tool_z_m):
     least_m = max(noise_m, MOTION_SHARE * params.offset_m)
     moved = frame.top_z_m - frame.low_z_m > least_m
     answers = (t_ns - frame.begun_ns) * 1e-9 / answer_s(adaptive, MIN_MEANS)  # times of an answer
+    obeyed = answers > 1.0 and abs(tool_z_m - frame.setpoint_m) < least_m
     if moved and difference_m < STAYS * sum_m:
         frame.phase = FRAME_RIGHT
     elif frame.phase == FRAME_HELD:
-        if answers > 1.0 and abs(tool_z_m - frame.setpoint_m) < least_m:  # it obeys
+        if obeyed:
             frame.setpoint_m = tool_z_m + LIFT * least_m
             _begin_window(frame, FRAME_LIFTED, t_ns, range_m, tool_z_m)
         elif answers > 2.0 or sum_m > LIFT * least_m:
             _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
     elif frame.phase == FRAME_LIFTED or frame.phase == FRAME_LOWERED:
-        if moved and answers > 1.0 and sum_m < STAYS * difference_m:
+        if moved and obeyed and sum_m < STAYS * difference_m:
             next_phase = FRAME_LOWERED if frame.phase == FRAME_LIFTED else FRAME_REVERSED
             frame.setpoint_m -= LIFT * least_m
             _begin_window(frame, next_phase, t_ns, range_m, tool_z_m)
