@@ -173,6 +173,9 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "heights by the axis model": [
         ("plant_identification", "0.0 < plant.scatter_m <", "0.0 > plant.scatter_m <")
     ],
+    "disturbance of the axis": [
+        ("plant_identification", "AXIS_GAINS = (0.3, 2.0, 0.1)", "AXIS_GAINS = (0.3, 2.0, 0.0)")
+    ],
     "shift before a steep hold": [("response", "STEEP = 0.5", "STEEP = 1e9")],
     "shift before a hold": [("constant_ranges", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
     "repeated ranges": [("repeated_ranges", "change_m > REPEAT_BAND * sigma_m", "change_m > -1.0")],
