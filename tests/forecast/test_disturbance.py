@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from surffollow import Follower
 from surffollow.benchmark.job_loop import BOOM, CELL, Job, follow
 
 DRONE = Job(2.0, 0.3, 0.02, 0.02, 2.0, 4.0, 0.02, (0.2, 10.0))
@@ -68,3 +69,23 @@ def test_a_steady_push_is_learned(name, push):
     print(f"{name}, push {push:+}: RMS {error:.3f} s0, P loop {of_plain:.3f}, tau {tau_share:.2f}")
     assert error < 0.5 * of_plain
     assert 0.6 < tau_share < 1.6
+
+
+def test_a_disturbance_is_forgotten_when_no_demand_is_applied():
+    """GIVEN a push that was learned WHEN the follower is frozen THEN nothing is left of it."""
+    f = Follower({"sensors": [{"near_m": 0.03, "far_m": 0.3}]}, offset_m=0.1)
+    plant = f._state["adaptive"][0]["plant"]
+
+    def run(first_ms: int, last_ms: int) -> None:
+        z = 0.1
+        for ms in range(first_ms, last_ms, 4):
+            f.pose(ms * 1_000_000, (1e-4 * ms, 0.0, z, 0.0, 0.0, 0.0, 1.0))
+            demand = float(f.step(ms * 1_000_000, [z])[2])
+            f.step(ms * 1_000_000 + 1, [math.nan])
+            z += 0.1 * demand - 1e-4
+
+    run(4, 4000)
+    assert plant["disturbance_mps"] < -1e-3
+    f.set_params(run="freeze")
+    run(4000, 4200)
+    assert plant["disturbance_mps"] == 0.0

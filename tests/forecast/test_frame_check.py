@@ -160,14 +160,56 @@ class NaiveFrameCheck:
             self.phase, self.samples = FRAME_UNKNOWN, [sample]
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_check_is_that_of_its_twin(seed):
-    """GIVEN tools that wander over ground that moves WHEN the ranges have either sign THEN twins agree."""
-    rng = np.random.default_rng(seed)
+def records():
+    """Parameters and state of a follower with a sample each 10 ms."""
     params, a = zeros(Params).view(np.recarray)[0], zeros(AdaptiveState).view(np.recarray)[0]
     params.offset_m = 0.1
     a.plant.tau_s, a.prediction.interval_s, a.latency.delay_s = 0.04, 0.01, 0.005
     a.noise.sigma_m = a.noise.range_sigma_m = 2e-4
+    return params, a
+
+
+def lead_away(params, a, first: int, z_m: float = 0.2, close: bool = False) -> set[int]:
+    """Phases of 200 samples under a tool that obeys, with the wrong sign and the range 0.1 m at 0.2 m."""
+    phases, start_m = set(), z_m
+    for k in range(first, first + 200):
+        held = FRAME_HELD <= a.frame.phase <= FRAME_LOWERED
+        z_m += 0.3 * (a.frame.setpoint_m - z_m) if held else 5e-4
+        frame_check.observe_frame(params, a, close, k * 10_000_000, 0.1 - (z_m - start_m), z_m)
+        phases.add(int(a.frame.phase))
+    return phases
+
+
+def test_a_jump_of_the_frame_begins_the_check_anew():
+    """GIVEN a height that jumps far WHEN the tool is led away THEN a wrong sign is found behind the jump."""
+    params, a = records()
+    frame_check.observe_frame(params, a, False, 10_000_000, 0.1, -0.8)
+    a.kinematics.jump_ns = 20_000_000
+    assert FRAME_REVERSED in lead_away(params, a, 2)
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, 0.1])
+@pytest.mark.parametrize("lead_m", [0.0, 0.05, -0.05])
+def test_a_sensor_beside_the_tool_is_checked_at_rest(lead_m, speed_mps):
+    """GIVEN a lead or a trail WHEN the tool travels THEN the check waits; at rest it decides."""
+    params, a = records()
+    a.sample.lead_m, a.kinematics.speed_mps = lead_m, speed_mps
+    waits = lead_m != 0.0 and speed_mps > 0.0
+    assert (lead_away(params, a, 1) == {FRAME_UNKNOWN}) == waits
+
+
+def test_a_known_fold_back_is_no_wrong_sign():
+    """GIVEN a sensor that may be nearer than its near limit THEN the check waits."""
+    params, a = records()
+    assert lead_away(params, a, 1, close=True) == {FRAME_UNKNOWN}
+    assert FRAME_REVERSED in lead_away(params, a, 201)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_check_is_that_of_its_twin(seed):
+    """GIVEN tools that wander over ground that moves WHEN the ranges have either sign THEN twins agree."""
+    rng = np.random.default_rng(seed)
+    params, a = records()
     wait_s = 0.005 + 2.0 * 0.04 + 2.0 * mean_samples(a) * 0.01
     naive = NaiveFrameCheck(max(0.05 * 0.1, 6.0 * 2e-4), int(1e9 * wait_s))
     sign, z, ground, seen = rng.choice([-1.0, 1.0]), 0.2, 0.0, SimpleNamespace(phases=set())

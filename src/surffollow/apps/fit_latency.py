@@ -6,11 +6,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.apps.lag_search import LONGEST_S, RESOLVED, SIGMAS, find_minima
 from surffollow.errors import ConfigError
 
-LONGEST_S = 0.5
-SIGMAS = 4.0  # by which another delay must fit worse
-RESOLVED = 1e-3  # of the move: finer differences of two fits are noise
 MIN_MOVE = 20.0  # the move must exceed the readings' scatter so many times
 
 
@@ -43,8 +41,6 @@ def fit_latency(
         too few readings, times that go back, heights that are downward, or a move that is too small, has no
         change of direction, or repeats itself within the longest delay
     """
-    from scipy.optimize import minimize_scalar
-
     back = np.flatnonzero(np.diff(t_s) <= 0.0)
     if len(back):
         raise ConfigError(f"time does not grow from row {back[0] + 1} to the next; sort the move by t_s")
@@ -60,19 +56,7 @@ def fit_latency(
         return np.asarray(off - off.mean())
 
     def minima(sign: float) -> list[tuple[float, float]]:
-        """Cost and delay of every delay that fits better than those beside it."""
-        grid = np.linspace(0.0, LONGEST_S, 101)
-        costs = np.array([np.inf, *(float(np.sum(errors(x, sign) ** 2)) for x in grid), np.inf])
-        found = []
-        for k in np.flatnonzero((costs[1:-1] <= costs[:-2]) & (costs[1:-1] < costs[2:])):
-            least = minimize_scalar(
-                lambda x: float(np.sum(errors(x, sign) ** 2)),
-                bounds=(max(0.0, grid[k] - grid[1]), min(LONGEST_S, grid[k] + grid[1])),
-                method="bounded",
-                options={"xatol": 1e-6},
-            )
-            found.append((float(least.fun), float(least.x)))
-        return found
+        return find_minima(lambda x: float(np.sum(errors(x, sign) ** 2)), np.linspace(0.0, LONGEST_S, 101))
 
     cost, latency_s = min(minima(1.0), default=(np.inf, 0.0))
     as_good = cost + len(at) * max(SIGMAS**2 * cost / len(at) ** 2, (RESOLVED * float(np.std(z_m))) ** 2)

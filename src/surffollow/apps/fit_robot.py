@@ -11,12 +11,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-LONGEST_S = 0.5  # of a lag, to either side
+from surffollow.apps.lag_search import LONGEST_S, RESOLVED, SIGMAS, find_minima
+
 GRID_S = 0.01  # between the lags tried first
 FEWEST = 30  # readings of a fit
 MOST = 4000  # readings that are fitted, evenly taken from all
-SIGMAS = 4.0  # by which another lag must fit worse
-RESOLVED = 1e-3  # of the ranges' own change: finer differences of two fits are noise
 LAG_SIGMA_S = 0.01  # a lag that is less certain is not identified
 GREATEST_CORRELATION = 0.995  # of a residual with the next: more is drift, which the fit cannot average
 GAP_S, GAPS = 0.25, 4.0  # no height is interpolated over more than this and so many usual intervals
@@ -61,12 +60,12 @@ def sensor_heights(poses: Floats, mount: Floats) -> tuple[Floats, Floats]:
     -------
     (n,), (n,)  heights [m]; components of the beam, −1 straight down
     """
-    qx, qy, qz, qw = poses[:, 3:7].T
-    # last row of the rotation: the world's z component of the tool's axes
-    row = np.stack([2 * (qx * qz - qy * qw), 2 * (qy * qz + qx * qw), 1 - 2 * (qx * qx + qy * qy)], axis=1)
-    mx, my, mz, mw = mount[3:7]
-    axis = np.array([2 * (mx * mz + my * mw), 2 * (my * mz - mx * mw), 1 - 2 * (mx * mx + my * my)])
-    return poses[:, 2] + row @ mount[:3], -(row @ axis)
+    from scipy.spatial.transform import Rotation
+
+    # last row: the world's z component of the tool's axes
+    upward = Rotation.from_quat(poses[:, 3:7]).as_matrix()[:, 2]
+    axis = Rotation.from_quat(mount[3:7]).as_matrix()[:, 2]
+    return poses[:, 2] + upward @ mount[:3], -(upward @ axis)
 
 
 def span(values: Floats) -> float:
@@ -118,27 +117,8 @@ class _Regression:
     def minima(self) -> list[tuple[float, float, float]]:
         """Sum of squares, lag [s] and gain of each lag that fits better than those beside it."""
         n = round(LONGEST_S / GRID_S)
-        grid = GRID_S * np.arange(-n, n + 1)
-        costs = np.array([np.inf, *(self.solve(lag)[0] for lag in grid.tolist()), np.inf])
-        found = []
-        for k in np.flatnonzero((costs[1:-1] <= costs[:-2]) & (costs[1:-1] < costs[2:])).tolist():
-            lag = float(grid[k])
-            if 0 < k < len(grid) - 1:
-                lag = self._refined(lag)
-            cost, gain, _ = self.solve(lag)
-            found.append((cost, lag, gain))
-        return sorted(found)
-
-    def _refined(self, lag_s: float) -> float:
-        """The lag of least cost near a lag of the grid, by steps of golden sections."""
-        low, high, part = lag_s - GRID_S, lag_s + GRID_S, (np.sqrt(5.0) - 1.0) / 2.0
-        while high - low > 1e-5:
-            left, right = high - part * (high - low), low + part * (high - low)
-            if self.solve(left)[0] < self.solve(right)[0]:
-                high = right
-            else:
-                low = left
-        return float(0.5 * (low + high))
+        found = find_minima(lambda lag: self.solve(lag)[0], GRID_S * np.arange(-n, n + 1.0))
+        return [(cost, lag, self.solve(lag)[1]) for cost, lag in found]
 
 
 def usable(t_s: Floats, reading_t_s: Floats) -> NDArray[np.bool_]:

@@ -6,7 +6,8 @@ import math
 
 import msgspec
 
-from surffollow.apps.fit_robot import SIGMAS, GainFit
+from surffollow.apps.fit_robot import GainFit
+from surffollow.apps.lag_search import SIGMAS
 
 TOLERANCE = 0.05  # of a gain: the cosine of 18 degrees
 NO_RESPONSE = 0.05  # least gain that is more than a leak of the move into the ranges

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from surffollow.apps.fit_robot import (
-    LONGEST_S,
     Floats,
     count_legs,
     fit_gain,
@@ -17,6 +16,7 @@ from surffollow.apps.fit_robot import (
     white_noise_m,
 )
 from surffollow.apps.gain_verdict import Finding, length
+from surffollow.apps.lag_search import LONGEST_S
 from surffollow.apps.robot_verdict import (
     PRECISE,
     ChannelFacts,

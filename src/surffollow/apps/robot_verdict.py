@@ -7,8 +7,9 @@ from typing import Any
 
 import msgspec
 
-from surffollow.apps.fit_robot import SIGMAS, GainFit
+from surffollow.apps.fit_robot import GainFit
 from surffollow.apps.gain_verdict import FRAMES, NO_RESPONSE, SURE, Finding, classify_gain, length
+from surffollow.apps.lag_search import SIGMAS
 
 PRECISE = 0.02  # greatest standard error of a gain that is evaluated, as a part of it or of 1
 EXPLAINED = 0.9  # of the ranges, where the heights hardly move

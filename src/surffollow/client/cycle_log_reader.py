@@ -47,6 +47,29 @@ def unpack_conversion(word: int, t_ns: int) -> Conversion:
     return Conversion(t_ns + dt_ns, counts, word >> 24 & 7, word >> 27 & 31)
 
 
+def locate_log(board: Board) -> tuple[int, int]:
+    """Offset of the log's head in the board [bytes], and the capacity of the log [words].
+
+    Raises
+    ------
+    LayoutMismatchError
+        the log is of another release
+    BlockError
+        it has no length that a log can have
+    """
+    found = next(r["hash"] for r in board.header()["region"] if r["name"] == "log")
+    if found != log_hash():
+        raise LayoutMismatchError(
+            f"the cycle log of service {board.name!r} has layout {found:016x}, expected {log_hash():016x}; "
+            "use programs of one release"
+        )
+    offset = board.regions["log"][0]
+    capacity = int(board.words[offset // 8 + _CAPACITY])
+    if capacity <= 0 or capacity & (capacity - 1):
+        raise BlockError(f"service {board.name!r} has a cycle log of {capacity} words; restart the service")
+    return offset, capacity
+
+
 class CycleLogReader:
     """Gives what the cycles took since the call before; loads only, and waits for nothing.
 
@@ -60,27 +83,14 @@ class CycleLogReader:
 
     Raises
     ------
-    LayoutMismatchError
-        the log is of another release
-    BlockError
-        it has no length that a log can have
+    LayoutMismatchError, BlockError
+        from `locate_log`
     """
 
     def __init__(self, board: Board) -> None:
-        found = next(r["hash"] for r in board.header()["region"] if r["name"] == "log")
-        if found != log_hash():
-            raise LayoutMismatchError(
-                f"the cycle log of service {board.name!r} has layout {found:016x}, expected "
-                f"{log_hash():016x}; use command and service of one release"
-            )
         self._board, self.lost = board, 0
-        offset = board.regions["log"][0]
+        offset, self._capacity = locate_log(board)
         self._first, self._start = offset // 8, offset + LogHead.SIZE
-        self._capacity = int(board.words[self._first + _CAPACITY])
-        if self._capacity <= 0 or self._capacity & (self._capacity - 1):
-            raise BlockError(
-                f"service {board.name!r} has a cycle log of {self._capacity} words; restart the service"
-            )
         self._position = int(board.words[self._first + _HEAD])
 
     def _copy(self) -> bytes:

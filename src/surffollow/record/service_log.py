@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from surffollow.client.board import Board
+from surffollow.client.cycle_log_reader import locate_log
 from surffollow.config.trusted_users import trusted_owners
-from surffollow.errors import BlockError, LayoutMismatchError, NotRunningError
-from surffollow.shm.board_regions import log_hash
-from surffollow.shm.layout_board import STATE_READY, BoardHeader, LogHead
+from surffollow.errors import BlockError, NotRunningError
+from surffollow.shm.layout_board import STATE_READY, BoardHeader
 
 
 class ServiceLog:
@@ -31,23 +31,12 @@ class ServiceLog:
         self._take(board)
 
     def _take(self, board: Board) -> None:
-        found = next(r["hash"] for r in board.header()["region"] if r["name"] == "log")
-        if found != log_hash():
-            raise LayoutMismatchError(
-                f"the cycle log of block {self.name!r} has layout {found:016x}, this recorder expects "
-                f"{log_hash():016x}; use recorder and service of one release"
-            )
+        offset, self._capacity = locate_log(board)
         self.board = board
         # this view keeps the memory mapped for as long as the address is in use
         self._memory: Any = np.frombuffer(board.memory, np.uint8)
-        offset = board.regions["log"][0]
         self._address: int = int(self._memory.ctypes.data) + offset
-        self._capacity: int = int(board.words[(offset + LogHead.offset("capacity")) // 8])
         self._epoch: int = board.epoch
-        if self._capacity <= 0 or self._capacity & (self._capacity - 1):
-            raise BlockError(
-                f"block {self.name!r} has a cycle log of {self._capacity} words; restart the service"
-            )
 
     @property
     def address(self) -> int:
