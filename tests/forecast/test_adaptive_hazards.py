@@ -72,6 +72,17 @@ def test_a_hazard_costs_hardly_more_clearance_than_a_p_loop_loses(family, seed):
     assert shortfall_m(plain.clearance_m, ours.clearance_m) < below_m, scenario
 
 
+@pytest.mark.parametrize("seed", [2100093, 2100115, 2100152, 2100223, 2100225])
+def test_the_only_sensor_leads_and_is_blocked_over_rising_ground(seed):
+    """GIVEN a range ahead that is blocked WHEN the ground rises as before THEN no contact while VALID.
+
+    The constant range was tested after a descent of a fourth of the stand-off, which was too late: the ground
+    rose meanwhile.
+    """
+    family = "only ahead and blocked"
+    assert not play(follower(KINDS[family].mounts_m), draw(family, seed)).contact_valid
+
+
 @pytest.mark.parametrize("seed", [450054, 450060, 450072, 450157, 450219])
 def test_a_quiet_sensor_that_froze_at_the_end_of_a_fall_is_not_believed_by_chance(seed):
     """GIVEN a frozen range with less than usual noise WHEN chance repeats it, and ends that, THEN no contact.

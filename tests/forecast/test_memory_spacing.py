@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
+from surffollow.benchmark.conditions import Conditions
+from surffollow.benchmark.trials import Job
+from surffollow.benchmark.trials import second_pass as second_trial
 from surffollow.forecast.terrain.bridges import longest_hole_m, usual_travel_m
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
@@ -84,3 +87,11 @@ def test_holes_of_the_usual_travel_are_bridged(speed, interval_s, hole):
     a["kinematics"]["speed_mps"], a["prediction"]["interval_s"] = speed, interval_s
     assert longest_hole_m(a) == pytest.approx(hole)
     assert usual_travel_m(a) == pytest.approx(min(speed * interval_s, 0.064))
+
+
+@pytest.mark.parametrize("surface", ["sine-100", "corrugated"])
+def test_ground_that_bends_is_not_blurred_between_cells(surface):
+    """GIVEN ground with bends of some cells WHEN it is remembered THEN the second pass meets its bound."""
+    trial = second_trial(Job("second-pass", "ours", 24090, Conditions(), surface, 0.1))
+    print(f"{surface}: first pass {1e6 * trial['first_m']:.0f} um, second {1e6 * trial['second_m']:.0f} um")
+    assert trial["second_m"] < 100e-6

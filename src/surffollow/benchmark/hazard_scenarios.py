@@ -18,6 +18,7 @@ LEAD_M, RING_M = 0.05, 0.03
 _THIRD = 2.0 * math.pi / 3.0
 ONE = ((0.0, 0.0),)
 LEADING = ((0.0, 0.0), (LEAD_M, 0.0))
+AHEAD = ((LEAD_M, 0.0),)
 TRAILING = ((-0.03, 0.0),)
 FAR_BEHIND = ((-0.075, 0.0),)
 THREE = tuple((RING_M * math.cos(k * _THIRD), RING_M * math.sin(k * _THIRD)) for k in range(3))
@@ -32,7 +33,8 @@ class Kind:
     `slope`: of a plane under the ground, of either sign. `rises`: it begins in the middle, and rises;
     `valley`: it falls until the middle, and rises from there; `levels`: it is level from there.
     `interval_ms`: between readings, log-uniform. `factor`: of the speed from the middle on.
-    `turn_s`: the tool turns back every so often.
+    `turn_s`: the tool turns back every so often. `push_mps`: velocity of wind or current beside the axis, of
+    either sign, from the middle on. `heave_m`: amplitude of ground that moves up and down as a whole.
     """
 
     size_m: tuple[float, float] = (0.0, 0.0)
@@ -48,6 +50,8 @@ class Kind:
     levels: bool = False
     factor: tuple[float, float] = (1.0, 1.0)
     turn_s: tuple[float, float] | None = None
+    push_mps: float = 0.0
+    heave_m: float = 0.0
 
 
 _FALL: dict[str, Any] = {"slope": (0.2, 1.0), "interval_ms": (READING_MS, 60), "levels": True}
@@ -98,7 +102,17 @@ KINDS = {
     "end of a fall": Kind(**_FALL),
     "frozen at the end of a fall": Kind((0.1 * SIGMA_M, 0.5 * SIGMA_M), (0.5, 2.0), **_FALL),
     "blocked at the end of a fall": Kind((0.0, 20e-3), (0.5, 2.0), signed=True, **_FALL),
+    "gain": Kind((0.0, 0.45), (0.1, 2.0), signed=True, slope=(0.0, 0.2)),
+    "pushed": Kind(slope=(0.0, 0.2), interval_ms=(READING_MS, 60), push_mps=0.1),
+    "heaving": Kind(interval_ms=(READING_MS, 60), heave_m=0.03),
+    "only ahead": Kind(mounts_m=AHEAD, slope=(0.0, 0.4), interval_ms=(READING_MS, 60)),
+    "only ahead and pushed": Kind(
+        mounts_m=AHEAD, slope=(0.0, 0.2), interval_ms=(READING_MS, 60), push_mps=0.1
+    ),
+    "only ahead and blocked": Kind((0.0, 20e-3), (0.3, 2.0), signed=True, mounts_m=AHEAD, slope=(0.0, 0.3)),
+    "only ahead and heaving": Kind(interval_ms=(READING_MS, 60), mounts_m=AHEAD, heave_m=0.03),
 }
+HEAVE_S = (0.7, 3.0)  # period
 MAX_CLIMB_MPS = 0.1  # over slopes of more than 1: half of what the axis can
 MAX_RISE = 0.25  # between two readings, of the distance between stand-off and near limit
 FAMILIES = tuple(KINDS)
@@ -119,6 +133,13 @@ class Scenario:
     interval_ms: int = READING_MS
     then_mps: float | None = None
     turn_s: float | None = None
+    push_mps: float = 0.0
+    heave_m: float = 0.0
+    heave_s: float = 1.0
+
+    def heave_at(self, t_s: float) -> float:
+        """Height of the ground above that of its profile [m]."""
+        return self.heave_m * math.sin(2.0 * math.pi * t_s / self.heave_s)
 
     def place_m(self, t_s: float) -> float:
         """Place of the tool along its way; the speed changes at once in the middle."""
@@ -158,4 +179,7 @@ def draw(family: str, seed: int) -> Scenario:
         interval_ms,
         None if kind.factor == (1.0, 1.0) else then * speed,
         None if kind.turn_s is None else float(rng.uniform(*kind.turn_s)),
+        kind.push_mps * float(rng.uniform(-1.0, 1.0)),
+        kind.heave_m * float(rng.random()),
+        float(rng.uniform(*HEAVE_S)),
     )

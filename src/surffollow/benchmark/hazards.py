@@ -105,6 +105,8 @@ def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> flo
         return held + (s.size_m * n if s.family.startswith("frozen") else s.size_m + SIGMA_M * n)
     if s.family in ("biased", "near", "leading wrong", "two of four"):
         return r + (-s.size_m if s.family == "near" else s.size_m)
+    if s.family == "gain":
+        return r * (1.0 + s.size_m)
     if s.family == "coarse counts":
         return s.size_m * round(r / s.size_m)
     if s.family == "much noise":
@@ -147,9 +149,10 @@ def play(follower: Any, s: Scenario) -> Outcome:
     for ms in range(int(SECONDS * 1e3) * kind.passes):
         t, later = ms * 1e-3, ms * 1e-3 >= turn_s
         x = s.place_m(t if not later else 2.0 * turn_s - t)
-        height = axis[0] - ground.height_m(x, later)
+        z_m = axis[0] - s.heave_at(t)  # the ground heaves, its profile stays
+        height = z_m - ground.height_m(x, later)
         # a tool that turns to the normal keeps its distance from the nearest ground
-        clearance = ground.distance_m(x, axis[0], later) if n > 2 else height
+        clearance = ground.distance_m(x, z_m, later) if n > 2 else height
         wrong = begin_s <= t < begin_s + s.length_s
         if ms > 200 and (kind.passes == 1 or later):
             least = min(least, clearance)
@@ -163,7 +166,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
             poses.append((ms, (x + off, z + up), z, tilt.copy()))
         if ms % s.interval_ms == 0:
             q = quaternion(tilt)
-            r = np.array([true_range(ground, later, x, axis[0], q, m) for m in kind.mounts_m])
+            r = np.array([true_range(ground, later, x, z_m, q, m) for m in kind.mounts_m])
             r += SIGMA_M * rng.standard_normal(n)
             stamp, arrival = ms, ms + LATE_MS
             if wrong:
@@ -191,6 +194,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
             target = setpoint_for(report, float(demand[2]))
             tilt_target = tilt_report + np.array([float(demand[3]), float(demand[4])])
         axis_step(axis, target, PLANT.tau_s, PLANT.v_max_mps, PLANT.a_max_mps2, 1e-3)
+        axis[0] += s.push_mps * 1e-3 if t >= BEGIN_S else 0.0
         tilt += (tilt_target - tilt) * (1e-3 / PLANT.tau_s)
     return Outcome(float(least), contact, contact_valid, most_tilt)
 

@@ -10,6 +10,7 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, SLOW_RATE
 from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.repeated_ranges import is_repeated
+from surffollow.forecast.sensing.unseen_ground import rise_rate
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import (
     NO_SIGN,
@@ -130,6 +131,8 @@ def sign_of_fault(adaptive, motion_m):
     few = number < mean_range.MAX_READINGS
     lags = few or error_m <= mean_range.LAG_TAUS * lag_s * run.rate_mps
     slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
+    if not below:  # the ground under the tool is not seen: it may rise as it did before
+        motion_m += rise_rate(adaptive) * run.samples * adaptive.prediction.interval_s
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
         return NO_SIGN
     return SIGN_FOR_SHIFT

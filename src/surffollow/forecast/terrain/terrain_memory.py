@@ -106,7 +106,8 @@ def read_preview(memory, params, state, inputs):
     if not due:
         return
     i.preview_from_m = first
-    i.preview_step_m = max(CELL_M * d.length, (last - first) / (MAX_PREVIEW - 1))
+    # twice per cell: what is read between two places is blurred once more
+    i.preview_step_m = max(0.5 * CELL_M * d.length, (last - first) / (MAX_PREVIEW - 1))
     n = min(int((last - first) / i.preview_step_m) + 2, MAX_PREVIEW)
     before_ns = max(dimensionless_time(d, i.t_ns), state[0].adaptive.clock.now_ns) - LONG_GAP_NS
     for k in range(n):
