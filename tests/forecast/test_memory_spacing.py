@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surffollow import Follower
-from surffollow.forecast.terrain.bridges import longest_hole_m, usual_travel_m
+from surffollow.forecast.terrain.terrain_buffer import longest_hole_m, usual_travel_m
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 
