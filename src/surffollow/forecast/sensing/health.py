@@ -50,12 +50,10 @@ def is_lost(params, adaptive):
     range did not respond, and that falls silent, has nothing to continue from. Before that, ground that it
     did not see may have come near; in silence it stays so, also when the tool stops.
     """
-    estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
-    if adaptive.health.upward != 0 or is_reversed(adaptive.frame):
+    health, estimate, silent = adaptive.health, adaptive.estimate, is_dropout(adaptive)
+    if health.upward != 0 or health.unseen != 0 or is_reversed(adaptive.frame) or estimate.samples == 0:
         return True
-    if estimate.samples == 0 or (stuck and silent):
-        return True
-    if adaptive.health.unseen != 0 or (stuck and is_uncertain(params, adaptive, silent)):
+    if is_unresponsive(adaptive.response) and (silent or is_uncertain(params, adaptive, silent)):
         return True
     # frames that jump more often than samples arrive: the tool would hold its height for ever
     held = adaptive.clock.now_ns - estimate.in_frame_ns > 2 * params.loss_timeout_ns

@@ -18,7 +18,6 @@ from surffollow.shm.layout_follow import POSES
 GROUND_SPEED_MPS = 0.1
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
-LONG_MEAN = 3  # times 100 ms
 WAY_SCATTERS = 3.0  # usual distances of a report from its way: a shorter way is noise by chance in 1 of 100
 
 
@@ -122,7 +121,7 @@ def travel_velocity(kinematics, sense, jump_ns):
     short_x, short_y, _, dt = velocity_between(sense, oldest_pose_within(sense, PAUSE_NS, jump_ns), last)
     if math.hypot(short_x, short_y) * dt >= 2.0 * noise_m:
         return short_x, short_y
-    first = oldest_pose_within(sense, LONG_MEAN * PAUSE_NS, jump_ns)
+    first = oldest_pose_within(sense, 3 * PAUSE_NS, jump_ns)
     vx, vy, _, long_s = velocity_between(sense, first, last)
     speed = math.hypot(vx, vy)
     if speed * dt >= noise_m and math.hypot(short_x, short_y) * dt >= 0.5 * noise_m:
