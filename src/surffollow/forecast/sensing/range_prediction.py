@@ -101,7 +101,7 @@ def update_prediction(params, prediction, t_ns, range_m):
     expected_m = predict_range(prediction, dt)
     innovation = range_m - expected_m
     outlier = abs(innovation) > params.gate_scales * prediction.scale_m > 0.0
-    if outlier and prediction.rejected < 1:
+    if outlier and prediction.rejected == 0:
         prediction.rejected = 1
         return
     prediction.rejected = 0

@@ -90,11 +90,8 @@ def store_ground_under(adaptive, s_m, h_m):
 
     Heights that channel 0 is compared with are then of that channel alone, or of before the rest.
     """
-    if sensor_leads(adaptive):
-        stores = not is_at_rest(adaptive.kinematics)
-    else:
-        stores = adaptive.lookahead.lead_m == 0.0
-    if stores:
+    leads, behind_another = sensor_leads(adaptive), adaptive.lookahead.lead_m > 0.0
+    if not (is_at_rest(adaptive.kinematics) if leads else behind_another):
         store_ground(adaptive, s_m, h_m)
 
 
@@ -152,7 +149,7 @@ def bridge_gaps(heights_m, n, most):
         if math.isnan(heights_m[k]):
             continue
         gap = k - last - 1
-        if last >= 0 and 0 < gap <= most:
+        if last >= 0 and gap <= most:
             rise = (heights_m[k] - heights_m[last]) / (gap + 1)
             for j in range(1, gap + 1):
                 heights_m[last + j] = heights_m[last] + j * rise
