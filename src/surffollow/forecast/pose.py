@@ -78,7 +78,7 @@ def newest_pose(sense):
 
 @jit_inlined
 def push_pose(sense, t_ns, pose, at):
-    """Append the pose at `pose[at:at+7]` to the history; one that is not newer than the last is refused.
+    """Append the pose at `pose[at:at+7]` to the history; 0 when it is not newer than the last (refused).
 
     Parameters
     ----------
@@ -90,12 +90,13 @@ def push_pose(sense, t_ns, pose, at):
     n = sense.pose_count
     if n > 0 and t_ns <= sense.pose_t_ns[newest_pose(sense)]:
         sense.poses_refused += 1
-        return
+        return 0
     slot = n & (POSES - 1)
     sense.pose_t_ns[slot] = t_ns
     for i in range(7):
         sense.pose[slot * 7 + i] = pose[at + i]
     sense.pose_count = n + 1
+    return 1
 
 
 @jit
