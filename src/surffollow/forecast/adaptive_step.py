@@ -134,7 +134,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
     close = layout.TOO_CLOSE if fold.close != 0 else 0
     stuck, lost = health.update_health(params, adaptive, sense, close != 0)
-    jumped = kinematics.has_jumped(adaptive.kinematics, adaptive.clock.now_ns)
+    jumped = kinematics.has_jumped(adaptive)
     if jumped:
         known_ground.reset_known_ground(adaptive.known)
     if jumped or stuck or lost:
