@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from naive_response import HOLD, LIFT, NONE, RUN, NaiveResponse
-from surffollow.forecast.sensing.response import (
-    is_unresponsive,
-    observe_response,
-    reset_response,
-)
+from surffollow.forecast.sensing.response import is_unresponsive, observe_response
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range, setpoint_shift_m
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
@@ -33,7 +29,6 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
     adaptive["noise"]["sigma_m"], adaptive["noise"]["range_sigma_m"] = 3.0 * SIGMA_M, SIGMA_M  # poses, too
     adaptive["weights"]["scored"] = 500
     adaptive["prediction"]["interval_s"], adaptive["sample"]["lead_m"] = interval_s, lead_m
-    reset_response(adaptive["response"])
     adaptive["latency"]["delay_s"] = delay_s = float(rng.choice([0.0, 0.04]))
     rotation_failed = bool(rng.random() < 0.2)
     adaptive["rotation"]["phase"] = ROTATION_FAILED if rotation_failed else ROTATION_RUN

@@ -9,7 +9,7 @@ import pytest
 
 from surffollow import Follower
 from surffollow.forecast.attitude.beam_detection import measure_lateness
-from surffollow.forecast.attitude.beam_times import is_near, is_recent
+from surffollow.forecast.attitude.beam_times import is_recent, lateness_ns
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import SenseState
@@ -123,8 +123,9 @@ def test_lateness_counts_as_the_twin_says(seed):
         sense["fresh"][:4] = 1
         measure_lateness(params, a, sense)
         usual_ms += (late_ms - usual_ms) / 20
-        found = [bool(is_near(a["beams"], c, newest_ms * MS)) for c in range(4)]
+        beams, newest_ns = a["beams"], newest_ms * MS
+        found = [bool(is_recent(beams, c, newest_ns, lateness_ns(beams, c))) for c in range(4)]
         margins = np.abs(late_ms - MISSING_MS - np.minimum(usual_ms, PAUSE_MS))
         if margins.min() > 0.1:
             assert found == twin_counts(times_ms, newest_ms, usual_ms, radius_m, speed)
-        assert all(is_recent(a["beams"], c, newest_ms * MS) == (late_ms[c] <= MISSING_MS) for c in range(4))
+        assert all(is_recent(beams, c, newest_ns) == (late_ms[c] <= MISSING_MS) for c in range(4))

@@ -11,7 +11,7 @@ from surffollow import Follower
 from surffollow.benchmark.conditions import Conditions
 from surffollow.benchmark.trials import Job
 from surffollow.benchmark.trials import second_pass as second_trial
-from surffollow.forecast.terrain.bridges import longest_hole_m, usual_travel_m
+from surffollow.forecast.terrain.terrain_buffer import longest_hole_m, usual_travel_m
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 

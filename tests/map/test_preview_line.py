@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from surffollow.forecast.terrain.bridges import bridge_gaps
+from surffollow.forecast.terrain.terrain_buffer import bridge_gaps
 from surffollow.map.header import init_header
 from surffollow.map.kernels.geometry import open_journal, reset_begin, reset_step
 from surffollow.map.kernels.grids import update_map

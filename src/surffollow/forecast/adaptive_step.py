@@ -134,7 +134,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
     close = layout.TOO_CLOSE if fold.close != 0 else 0
     stuck, lost = health.update_health(params, adaptive, sense, close != 0)
-    jumped = kinematics.has_jumped(adaptive.kinematics, adaptive.clock.now_ns)
+    jumped = kinematics.has_jumped(adaptive)
     if jumped:
         known_ground.reset_known_ground(adaptive.known)
     if jumped or stuck or lost:
@@ -174,7 +174,6 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         attitude.demand_rotation(params, adaptive, sense, output)
     applied_m = limited if params.run == layout.RUN_NORMAL else 0.0
     plant_identification.record_own_setpoint(adaptive, answered, tool_z + applied_m)
-    setpoint_limits.mark_dryrun(setpoint, 1 if params.run == layout.RUN_DRYRUN else 0)
     if params.run == layout.RUN_FREEZE:
         setpoint_limits.release_setpoint(setpoint)  # no demand is applied
     output.delta_h_m = estimate.slope * max(ahead, 0.0)

@@ -27,8 +27,6 @@ def forecast_range(params, state, horizon_s):
     """
     if params[0].mode == MODE_ADAPTIVE:
         d = state[0].scaled
-        if d.length == 0.0:
-            return math.nan
         return predict_range(state[0].adaptive.prediction, horizon_s / d.time) * d.length
     p = state[0].paper
     if p.reading_t_ns == 0:

@@ -6,7 +6,7 @@ A pose is seven numbers, x y z [m] and a unit quaternion qx qy qz qw.
 import math
 
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, LONG_GAP_NS, MAX_GAP_NS
-from surffollow.forecast.sensing.clock import inputs_ns
+from surffollow.forecast.sensing.clock import scale_duration
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import CLOCK_SET, POSES, REFUSED, TAKEN
 
@@ -136,12 +136,12 @@ def report_pose(state, step_ns, t_ns, pose):
         REFUSED: it is not newer than the last; TAKEN; CLOCK_SET: taken, and it begins the history anew,
         because the clock was set back, or the newest report had a wrong timestamp
     """
-    sense, begun = state[0].sense, False
+    sense, to_inputs, begun = state[0].sense, -state[0].scaled.shift, False
     if sense.pose_count > 0 and t_ns <= sense.pose_t_ns[newest_pose(sense)]:
         newest = sense.pose_t_ns[newest_pose(sense)]
-        jump_ns = inputs_ns(state[0].scaled, LONG_GAP_NS)
+        jump_ns = scale_duration(LONG_GAP_NS, to_inputs)
         # a step in between that is as new says that this route of poses is late
-        begun = is_set_back(sense, t_ns, inputs_ns(state[0].scaled, MAX_GAP_NS)) and step_ns < newest
+        begun = is_set_back(sense, t_ns, scale_duration(MAX_GAP_NS, to_inputs)) and step_ns < newest
         begun = begun or (t_ns <= newest - jump_ns and newest > max(t_ns, step_ns) + jump_ns)
         if not begun:
             sense.poses_refused += 1

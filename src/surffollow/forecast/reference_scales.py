@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS
 from surffollow.forecast import reset
+from surffollow.forecast.sensing.clock import scale_duration
 from surffollow.shm import atomics as at
 from surffollow.shm import layout_follow as layout
 from surffollow.shm.jit import jit, jit_inlined
@@ -98,18 +99,12 @@ def is_unscaled(d):
 
 
 @jit_inlined
-def dimensionless_duration(d, ns):
-    """A dimensionless duration: nanoseconds over the reference time."""
-    return ns >> d.shift if d.shift >= 0 else ns << -d.shift
-
-
-@jit_inlined
 def dimensionless_time(d, t_ns):
     """A dimensionless time: that since the epoch over the reference time; without an epoch as it is.
 
     It is never 0, which means never: it begins at 2^42.
     """
-    return t_ns if d.epoch_ns == 0 else dimensionless_duration(d, t_ns - d.epoch_ns) + (1 << 42)
+    return t_ns if d.epoch_ns == 0 else scale_duration(t_ns - d.epoch_ns, d.shift) + (1 << 42)
 
 
 @jit
@@ -133,7 +128,7 @@ def scale_words(d, words, record, state, sign):
             at.store_relaxed_f64(target, math.ldexp(at.load_relaxed_f64(source), power))
         else:
             word = at.load_relaxed_i64(source)
-            at.store_relaxed_i64(target, dimensionless_duration(d, word) if time != 0 else word)
+            at.store_relaxed_i64(target, scale_duration(word, d.shift) if time != 0 else word)
 
 
 @jit

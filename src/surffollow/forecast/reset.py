@@ -2,15 +2,12 @@
 
 from surffollow.forecast.attitude.rotation_response import reset_rotation
 from surffollow.forecast.estimation.estimate import discard_estimate
-from surffollow.forecast.sensing.descent import reset_descent
-from surffollow.forecast.sensing.frame_check import reset_frame
-from surffollow.forecast.sensing.repeated_ranges import reset_repeats
-from surffollow.forecast.sensing.response import reset_response
 from surffollow.forecast.setpoint.setpoint_limits import release_setpoint
 from surffollow.forecast.terrain.preview import withdraw_preview
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import DROPOUT, REASON_NO_READING
+from surffollow.shm.layout_adaptive_sensing import FRAME_UNKNOWN, RESPONSE_RUN
 from surffollow.shm.layout_follow import FollowState
 
 # where the records are in `FollowState` that resets clear, and their number of words
@@ -56,10 +53,10 @@ def forget_surface(state):
     adaptive = state[0].adaptive
     discard_estimate(adaptive.estimate)
     adaptive.estimate.confirmed_ns = 0  # the loss time-out counts from the next sample
-    reset_response(adaptive.response)
-    reset_repeats(adaptive.repeats)
-    reset_descent(adaptive.descent)
-    reset_frame(adaptive.frame)
+    # the tests of the sensor begin anew with the next sample; the usual number of repeated ranges stays
+    adaptive.response.t_ns, adaptive.response.phase = 0, RESPONSE_RUN
+    adaptive.repeats.count = adaptive.repeats.unused = adaptive.descent.unexplained = 0
+    adaptive.frame.phase, adaptive.frame.begun_ns = FRAME_UNKNOWN, 0
     reset_rotation(adaptive.rotation)
     release_setpoint(adaptive.setpoint)
     withdraw_preview(adaptive.preview)

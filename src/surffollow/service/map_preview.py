@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from surffollow.forecast.terrain.bridges import bridge_gaps, longest_hole_m
 from surffollow.forecast.terrain.preview_schedule import preview_window
+from surffollow.forecast.terrain.terrain_buffer import bridge_gaps, longest_hole_m
 from surffollow.map.kernels.preview_line import grid_width, heights_along
 from surffollow.shm.jit import jit, jit_pasted
 from surffollow.shm.layout_follow import MAX_PREVIEW, MODE_ADAPTIVE

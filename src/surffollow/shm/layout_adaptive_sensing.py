@@ -108,12 +108,8 @@ class Frame(Schema):
     phase = I64(doc="FRAME_UNKNOWN, held, lifted, lowered, FRAME_RIGHT or FRAME_REVERSED")
     begun_ns = I64(unit="ns", doc="first sample of the phase; 0: none")
     setpoint_m = F64(unit="m", doc="setpoint while the tool is held, lifted or lowered")
-    low_z_m = F64(unit="m", doc="least height of the tool in the phase")
-    top_z_m = F64(unit="m", doc="greatest one")
-    least_difference_m = F64(unit="m", doc="least range minus height of the tool in the phase")
-    most_difference_m = F64(unit="m", doc="greatest one")
-    least_sum_m = F64(unit="m", doc="least range plus height of the tool in the phase")
-    most_sum_m = F64(unit="m", doc="greatest one")
+    least_m = F64(3, unit="m", doc="least height z of the tool, range minus z, range plus z in the phase")
+    most_m = F64(3, unit="m", doc="greatest of these")
 
 
 class ConstantRanges(Schema):

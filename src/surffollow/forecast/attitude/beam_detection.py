@@ -8,7 +8,7 @@ those of two others is blocked, or stuck. Without a majority the beams that see 
 
 import math
 
-from surffollow.forecast.attitude.beam_times import is_near, is_recent, lateness_ns, round_ns
+from surffollow.forecast.attitude.beam_times import is_recent, lateness_ns
 from surffollow.forecast.attitude.plane_regression import (
     flat_height,
     half_squared_distance,
@@ -76,9 +76,7 @@ def choose_reference(params, beams, sense):
     per step: a channel without a range in this step is not silent. Of several others the newest one follows,
     so that there is a sample at once.
     """
-    newest = 0
-    for c in range(params.n_channels):
-        newest = max(newest, beams.t_ns[c])
+    newest = max(beams.t_ns.max(), 0)
     if newest == 0:
         return -1
     best, lowest = beams.reference, 3
@@ -172,10 +170,9 @@ def is_blocked(params, adaptive, c):
     three beams are isolated by the plane on which they lie.
     """
     beams, n = adaptive.beams, 0
-    latest_ns = round_ns(beams) + lateness_ns(beams, c)
     for k in range(params.n_channels):
-        apart_ns = abs(beams.t_ns[c] - beams.t_ns[k])
-        n += 1 if beams.t_ns[k] != 0 and apart_ns <= latest_ns + lateness_ns(beams, k) else 0
+        late_ns = lateness_ns(beams, c) + lateness_ns(beams, k)
+        n += 1 if is_recent(beams, k, beams.t_ns[c], late_ns) else 0
     least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
     changes = beams.changes - beams.run_changes[c]
     # six changes of the two others by turns in a second are no chance
@@ -207,8 +204,8 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
         beams.old[c] = 1 if beams.t_ns[c] != 0 and not recent else 0
         timely += beams.accepted[c]
     for c in range(params.n_channels):
-        near = timely < 3 and beams.old[c] != 0 and is_near(beams, c, t_ns)
-        if near and not is_blocked(params, adaptive, c):
+        counts = timely < 3 and beams.old[c] != 0 and is_recent(beams, c, t_ns, lateness_ns(beams, c))
+        if counts and not is_blocked(params, adaptive, c):
             beams.accepted[c] = 1
         if beams.accepted[c] == 0:
             continue
@@ -269,9 +266,8 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     good = 0
     for c in range(params.n_channels):
         if beams.accepted[c] == 0:
-            beams.weight[c] = 0.0
-            continue
-        if odd >= 0:
+            rejected = True
+        elif odd >= 0:
             rejected = c == odd
         elif beams.inconsistent != 0:
             rejected = not nearest - gate <= beams.height_m[c] <= nearest

@@ -6,28 +6,16 @@ wide.
 """
 
 from surffollow.forecast.quantities import MISSING_NS
-from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.jit import jit_inlined
 
 
 @jit_inlined
-def round_ns(beams):
-    """Footprints no farther apart are of one round [ns]."""
-    return max(MISSING_NS, beams.round_ns)
-
-
-@jit_inlined
-def is_recent(beams, c, t_ns):
-    """Whether a beam has a sample as new as one with this timestamp, or of the same round."""
-    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= round_ns(beams)
+def is_recent(beams, c, t_ns, late_ns=0):
+    """Whether a beam has a sample of the same round as one with this timestamp, or late by no more [ns]."""
+    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= max(MISSING_NS, beams.round_ns) + late_ns
 
 
 @jit_inlined
 def lateness_ns(beams, c):
     """Usual lateness of a beam, as far as a footprint may be late [ns]."""
     return int(min(beams.late_s[c], beams.reach_s) * 1e9)
-
-
-@jit
-def is_near(beams, c, t_ns):
-    """Whether a beam has a sample as new as one with this timestamp, its usual lateness taken off."""
-    return beams.t_ns[c] != 0 and abs(t_ns - beams.t_ns[c]) <= round_ns(beams) + lateness_ns(beams, c)

@@ -29,6 +29,7 @@ from surffollow.forecast.plant.axis_model import is_long
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
     MAX_SLOPE,
+    MEAN_TO_SIGMA,
     PLAUSIBLE_SLOPE,
     QUICK_RATE,
     USUAL_SAMPLES,
@@ -159,7 +160,7 @@ def note_remainder(params, adaptive, remainder_m):
 @jit
 def update_scale(gate, innovation_m):
     """Update the usual innovation with one that counts at most the width of the gate."""
-    gate.scale_m += QUICK_RATE * (1.25 * min(abs(innovation_m), gate.width_m) - gate.scale_m)
+    gate.scale_m += QUICK_RATE * (MEAN_TO_SIGMA * min(abs(innovation_m), gate.width_m) - gate.scale_m)
 
 
 @jit

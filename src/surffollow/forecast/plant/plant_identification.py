@@ -114,12 +114,6 @@ def propagate_axes(params, plant, to_ns):
 
 
 @jit
-def model_error(plant):
-    """Squared error of the best axis model against the reports [m²]."""
-    return plant.error_m2.min()
-
-
-@jit
 def best_time_constant(plant):
     """τ of the least error by a parabola through three [s]; 0 when the errors do not differ."""
     best = plant.error_m2.argmin()
@@ -150,7 +144,7 @@ def update_plant(params, adaptive, sense, inputs):
     newest = newest_pose(sense)
     t, z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
     if setpoint.t_ns == 0:
-        least = model_error(plant)
+        least = plant.error_m2.min()
         for k in range(N_PLANTS):  # what all have in common: another controller has moved the robot since
             plant.error_m2[k] -= least
     applied = adaptive.controller.periods > 0 and setpoint.t_ns != 0 and setpoint.in_dryrun == 0

@@ -1,19 +1,13 @@
-"""The follower's time: the latest timestamp of steps and poses."""
+"""The follower's time: the latest timestamp of steps and poses, and its unit."""
 
 from surffollow.forecast.quantities import LONG_GAP_NS
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 
 
-@jit
-def inputs_ns(scaled, ns):
-    """A time in nanoseconds of the inputs, given at the reference scale.
-
-    Parameters
-    ----------
-    scaled : record of `ScaledState`  read only
-    ns : int64
-    """
-    return ns << scaled.shift if scaled.shift >= 0 else ns >> -scaled.shift
+@jit_inlined
+def scale_duration(ns, shift):
+    """A duration over 2^shift: dimensionless with the shift of the scales, in SI units with its negative."""
+    return ns >> shift if shift >= 0 else ns << -shift
 
 
 @jit

@@ -140,9 +140,3 @@ def _is_testable(params, adaptive, t_ns, tool_z_m, spread_m):
     deep = steeper and tool_z_m < descent.floor_z_m - descent.reach_m
     idle = response.phase == RESPONSE_RUN and t_ns >= response.settled_ns
     return known and quick and narrow and has_room and deep and idle
-
-
-@jit
-def reset_descent(descent):
-    """Take the descent as explained; it begins anew with the response."""
-    descent.unexplained = 0

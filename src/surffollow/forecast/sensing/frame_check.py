@@ -43,20 +43,19 @@ LOOKS_REVERSED = 0.25  # the same before the tool is held: over a ramp that begi
 def _begin_window(frame, phase, t_ns, range_m, tool_z_m):
     """Begin a phase, and the extremes of height, difference and sum, with a sample."""
     frame.phase, frame.begun_ns = phase, t_ns
-    frame.low_z_m = frame.top_z_m = tool_z_m
-    frame.least_difference_m = frame.most_difference_m = range_m - tool_z_m
-    frame.least_sum_m = frame.most_sum_m = range_m + tool_z_m
+    for k, value_m in enumerate((tool_z_m, range_m - tool_z_m, range_m + tool_z_m)):
+        frame.least_m[k] = frame.most_m[k] = value_m
 
 
 @jit
 def _decide(params, adaptive, t_ns, range_m, tool_z_m):
     """Go from a phase to the next, if the extremes with the newest sample decide on it."""
     frame = adaptive.frame
-    difference_m = frame.most_difference_m - frame.least_difference_m
-    sum_m = frame.most_sum_m - frame.least_sum_m
+    motion_m = frame.most_m[0] - frame.least_m[0]
+    difference_m, sum_m = frame.most_m[1] - frame.least_m[1], frame.most_m[2] - frame.least_m[2]
     noise_m = max(MOTION_SIGMAS * range_noise_m(adaptive.noise), MOTION_COUNTS * count_m(adaptive.hold))
     least_m = max(noise_m, MOTION_SHARE * params.offset_m)
-    moved = frame.top_z_m - frame.low_z_m > least_m
+    moved = motion_m > least_m
     answers = (t_ns - frame.begun_ns) * 1e-9 / answer_s(adaptive, MIN_MEANS)  # times of an answer
     obeyed = answers > 1.0 and abs(tool_z_m - frame.setpoint_m) < least_m
     if moved and difference_m < STAYS * sum_m:
@@ -67,7 +66,7 @@ def _decide(params, adaptive, t_ns, range_m, tool_z_m):
             _begin_window(frame, FRAME_LIFTED, t_ns, range_m, tool_z_m)
         elif answers > 2.0 or sum_m > LIFT * least_m:
             _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
-    elif frame.phase == FRAME_LIFTED or frame.phase == FRAME_LOWERED:
+    elif frame.phase in (FRAME_LIFTED, FRAME_LOWERED):
         if moved and obeyed and sum_m < STAYS * difference_m:
             next_phase = FRAME_LOWERED if frame.phase == FRAME_LIFTED else FRAME_REVERSED
             frame.setpoint_m -= LIFT * least_m
@@ -99,12 +98,8 @@ def observe_frame(params, adaptive, close, t_ns, range_m, tool_z_m):
     if begins or frame.begun_ns < adaptive.kinematics.jump_ns <= t_ns:
         _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
         return
-    frame.low_z_m, frame.top_z_m = min(frame.low_z_m, tool_z_m), max(frame.top_z_m, tool_z_m)
-    difference_m, sum_m = range_m - tool_z_m, range_m + tool_z_m
-    frame.least_difference_m = min(frame.least_difference_m, difference_m)
-    frame.most_difference_m = max(frame.most_difference_m, difference_m)
-    frame.least_sum_m = min(frame.least_sum_m, sum_m)
-    frame.most_sum_m = max(frame.most_sum_m, sum_m)
+    for k, value_m in enumerate((tool_z_m, range_m - tool_z_m, range_m + tool_z_m)):
+        frame.least_m[k], frame.most_m[k] = min(frame.least_m[k], value_m), max(frame.most_m[k], value_m)
     _decide(params, adaptive, t_ns, range_m, tool_z_m)
 
 
@@ -118,9 +113,3 @@ def is_reversed(frame):
 def moves_to_check(frame):
     """Whether the tool is held, lifted or lowered by the check, to `frame.setpoint_m`."""
     return FRAME_HELD <= frame.phase <= FRAME_LOWERED
-
-
-@jit
-def reset_frame(frame):
-    """Begin the check with the next sample."""
-    frame.phase, frame.begun_ns = FRAME_UNKNOWN, 0

@@ -50,12 +50,10 @@ def is_lost(params, adaptive):
     range did not respond, and that falls silent, has nothing to continue from. Before that, ground that it
     did not see may have come near; in silence it stays so, also when the tool stops.
     """
-    estimate, stuck, silent = adaptive.estimate, is_unresponsive(adaptive.response), is_dropout(adaptive)
-    if adaptive.health.upward != 0 or is_reversed(adaptive.frame):
+    health, estimate, silent = adaptive.health, adaptive.estimate, is_dropout(adaptive)
+    if health.upward != 0 or health.unseen != 0 or is_reversed(adaptive.frame) or estimate.samples == 0:
         return True
-    if estimate.samples == 0 or (stuck and silent):
-        return True
-    if adaptive.health.unseen != 0 or (stuck and is_uncertain(params, adaptive, silent)):
+    if is_unresponsive(adaptive.response) and (silent or is_uncertain(params, adaptive, silent)):
         return True
     # frames that jump more often than samples arrive: the tool would hold its height for ever
     held = adaptive.clock.now_ns - estimate.in_frame_ns > 2 * params.loss_timeout_ns
@@ -134,36 +132,32 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
     -------
     int, int  numbers of HEALTH_NAMES and REASON_NAMES
     """
-    samples, silent_bits = adaptive.estimate.samples, silent << layout.REASON_CHANNELS
-    if adaptive.health.upward != 0:
-        return layout.DROPOUT, layout.REASON_UPWARD
-    if is_reversed(adaptive.frame):
-        return layout.FAULT, layout.REASON_REVERSED
-    if adaptive.health.faults & layout.FAULT_NOT_FINITE and samples < quantities.USUAL_SAMPLES:
-        return layout.FAULT, layout.REASON_NOT_FINITE
-    if stuck and not is_dropout(adaptive):
-        return layout.STUCK, layout.REASON_STUCK
-    if samples == 0 or is_dropout(adaptive):
-        if samples > 0 and is_outside(params, adaptive):
-            return layout.OUT_OF_RANGE, layout.REASON_OUTSIDE | silent_bits
-        return layout.DROPOUT, layout.REASON_NO_READING | silent_bits
-    if lost:
-        return layout.DROPOUT, layout.REASON_LOST | silent_bits
-    for found, reason in (
-        (adaptive.hold.shift_ns > 0, layout.REASON_TIMESTAMPS),
-        (has_jumped(adaptive.kinematics, adaptive.clock.now_ns), layout.REASON_POSE_JUMP),
-        (adaptive.beams.inconsistent != 0, layout.REASON_SENSORS),
-        (adaptive.rotation.phase == ROTATION_FAILED, layout.REASON_ROTATION),
-        (silent != 0, layout.REASON_SILENT | silent_bits),
-        (old != 0, layout.REASON_OLD | old << layout.REASON_CHANNELS),
-        (left_out != 0, layout.REASON_LEFT_OUT | left_out << layout.REASON_CHANNELS),
-        (is_late(params, adaptive), layout.REASON_LATE),
-        (adaptive.repeats.unused != 0, layout.REASON_REPEATED),
-        (adaptive.descent.unexplained != 0, layout.REASON_DESCENT),
-        (adaptive.pending.samples > 0, layout.REASON_PENDING),
+    samples, dropout = adaptive.estimate.samples, is_dropout(adaptive)
+    silent_bits = silent << layout.REASON_CHANNELS
+    begun_anew = adaptive.health.faults & layout.FAULT_NOT_FINITE != 0 and samples < quantities.USUAL_SAMPLES
+    outside = samples > 0 and dropout and is_outside(params, adaptive)
+    for found, state, reason in (
+        (adaptive.health.upward != 0, layout.DROPOUT, layout.REASON_UPWARD),
+        (is_reversed(adaptive.frame), layout.FAULT, layout.REASON_REVERSED),
+        (begun_anew, layout.FAULT, layout.REASON_NOT_FINITE),
+        (stuck and not dropout, layout.STUCK, layout.REASON_STUCK),
+        (outside, layout.OUT_OF_RANGE, layout.REASON_OUTSIDE | silent_bits),
+        (samples == 0 or dropout, layout.DROPOUT, layout.REASON_NO_READING | silent_bits),
+        (lost, layout.DROPOUT, layout.REASON_LOST | silent_bits),
+        (adaptive.hold.shift_ns > 0, layout.SUSPECT, layout.REASON_TIMESTAMPS),
+        (has_jumped(adaptive), layout.SUSPECT, layout.REASON_POSE_JUMP),
+        (adaptive.beams.inconsistent != 0, layout.SUSPECT, layout.REASON_SENSORS),
+        (adaptive.rotation.phase == ROTATION_FAILED, layout.SUSPECT, layout.REASON_ROTATION),
+        (silent != 0, layout.SUSPECT, layout.REASON_SILENT | silent_bits),
+        (old != 0, layout.SUSPECT, layout.REASON_OLD | old << layout.REASON_CHANNELS),
+        (left_out != 0, layout.SUSPECT, layout.REASON_LEFT_OUT | left_out << layout.REASON_CHANNELS),
+        (is_late(params, adaptive), layout.SUSPECT, layout.REASON_LATE),
+        (adaptive.repeats.unused != 0, layout.SUSPECT, layout.REASON_REPEATED),
+        (adaptive.descent.unexplained != 0, layout.SUSPECT, layout.REASON_DESCENT),
+        (adaptive.pending.samples > 0, layout.SUSPECT, layout.REASON_PENDING),
     ):
         if found:
-            return layout.SUSPECT, reason
+            return state, reason
     tested = moves_tool(adaptive.response) or moves_to_check(adaptive.frame)
     return layout.OK, layout.REASON_TESTED if tested else layout.REASON_NONE
 

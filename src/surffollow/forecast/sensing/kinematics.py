@@ -18,7 +18,6 @@ from surffollow.shm.layout_follow import POSES
 GROUND_SPEED_MPS = 0.1
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
-LONG_MEAN = 3  # times 100 ms
 WAY_SCATTERS = 3.0  # usual distances of a report from its way: a shorter way is noise by chance in 1 of 100
 
 
@@ -90,9 +89,10 @@ def note_jump(params, kinematics, sense):
 
 
 @jit
-def has_jumped(kinematics, now_ns):
+def has_jumped(adaptive):
     """Whether the reported position has jumped within the last second."""
-    return kinematics.jump_ns != 0 and 0 <= now_ns - kinematics.jump_ns < LONG_GAP_NS
+    jump_ns = adaptive.kinematics.jump_ns
+    return jump_ns != 0 and 0 <= adaptive.clock.now_ns - jump_ns < LONG_GAP_NS
 
 
 @jit
@@ -111,18 +111,18 @@ def coast_height(kinematics, sense, report, t_ns):
 
 
 @jit
-def travel_velocity(kinematics, sense, jump_ns):
+def travel_velocity(kinematics, sense):
     """Lateral velocity over 100 ms, or 300 ms where the way is hardly more than noise of the poses [m/s].
 
     The longer mean decides on that: the shorter one would be taken where noise makes it too great. It is 0
     where the longer way, too, is hardly more than noise, and where it is so much longer that the tool has
-    just stopped. Reports from before a jump at `jump_ns` do not count.
+    just stopped. Reports from before a jump do not count.
     """
-    last, noise_m = sense.pose_count - 1, WAY_SCATTERS * kinematics.noise_m
+    last, jump_ns, noise_m = sense.pose_count - 1, kinematics.jump_ns, WAY_SCATTERS * kinematics.noise_m
     short_x, short_y, _, dt = velocity_between(sense, oldest_pose_within(sense, PAUSE_NS, jump_ns), last)
     if math.hypot(short_x, short_y) * dt >= 2.0 * noise_m:
         return short_x, short_y
-    first = oldest_pose_within(sense, LONG_MEAN * PAUSE_NS, jump_ns)
+    first = oldest_pose_within(sense, 3 * PAUSE_NS, jump_ns)
     vx, vy, _, long_s = velocity_between(sense, first, last)
     speed = math.hypot(vx, vy)
     if speed * dt >= noise_m and math.hypot(short_x, short_y) * dt >= 0.5 * noise_m:
@@ -148,7 +148,7 @@ def update_kinematics(params, kinematics, sense, begins):
     kinematics.coasted_m = coast_height(kinematics, sense, last - 1, newest_ns)
     if newest_ns == jump_ns:
         return jumped  # the velocity is that before the jump
-    vx, vy = travel_velocity(kinematics, sense, jump_ns)
+    vx, vy = travel_velocity(kinematics, sense)
     # it starts at twice the speed at which it stops: the path does not change again and again
     least_mps = MIN_DIRECTION_SPEED_MPS * (1.0 if is_at_rest(kinematics) else 0.5)
     kinematics.speed_mps = math.hypot(vx, vy)

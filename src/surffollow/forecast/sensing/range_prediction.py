@@ -12,7 +12,7 @@ Over a slope, where the range returns to no mean, it is 0.
 
 import math
 
-from surffollow.forecast.quantities import follow_usual
+from surffollow.forecast.quantities import MEAN_TO_SIGMA, follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 
 
@@ -101,11 +101,11 @@ def update_prediction(params, prediction, t_ns, range_m):
     expected_m = predict_range(prediction, dt)
     innovation = range_m - expected_m
     outlier = abs(innovation) > params.gate_scales * prediction.scale_m > 0.0
-    if outlier and prediction.rejected < 1:
+    if outlier and prediction.rejected == 0:
         prediction.rejected = 1
         return
     prediction.rejected = 0
-    prediction.scale_m = follow_usual(prediction.scale_m, 1.25 * abs(innovation))
+    prediction.scale_m = follow_usual(prediction.scale_m, MEAN_TO_SIGMA * abs(innovation))
     if not outlier:
         expected_m += (1.0 - math.exp(-dt / (0.45 * unit_s))) * innovation
     rate_mps = (expected_m - prediction.level_m) / dt

@@ -42,9 +42,3 @@ def count_repeats(params, adaptive, range_m, tool_z_m):
 def is_repeated(repeats):
     """Whether the newest ranges are repeated far more often than usual."""
     return repeats.count >= max(REPEAT_RATIO * repeats.usual, MAX_READINGS)
-
-
-@jit
-def reset_repeats(repeats):
-    """Begin anew with the next sample; the usual number stays."""
-    repeats.count = repeats.unused = 0

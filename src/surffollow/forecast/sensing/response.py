@@ -281,9 +281,3 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
 def is_unresponsive(response):
     """Whether the range did not follow a test, and has not changed since."""
     return response.phase == RESPONSE_FAILED
-
-
-@jit
-def reset_response(response):
-    """Begin anew with the next sample."""
-    response.t_ns, response.phase = 0, RESPONSE_RUN

@@ -163,9 +163,7 @@ def lead_back(plan, ground_m, known, z_m, speed_mps, standoff_m):
     z_m, speed_mps : float64  tool at the latch time [m, m/s]
     standoff_m : float64     desired height of the tool above the ground [m]
     """
-    lowest_m = highest_m = ground_m[0]
-    for k in range(1, known):
-        lowest_m, highest_m = min(lowest_m, ground_m[k]), max(highest_m, ground_m[k])
+    lowest_m, highest_m = ground_m[:known].min(), ground_m[:known].max()
     if z_m < lowest_m + standoff_m and speed_mps <= 0.0:
         plan.setpoint_m = max(plan.setpoint_m, lowest_m + standoff_m)
     if z_m > highest_m + standoff_m and speed_mps >= 0.0:

@@ -11,6 +11,7 @@ import math
 
 from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, PAUSE_NS
 from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.layout_follow import RUN_DRYRUN
 
 SHORT_CYCLE_S = 5e-4  # of a quick caller: the overshoot of shorter ones is small; the first cycle is as long
 
@@ -176,6 +177,7 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     target_m, tool_z_m : float64
     """
     setpoint = adaptive.setpoint
+    setpoint.in_dryrun = 1 if params.run == RUN_DRYRUN else 0
     pause, dt = setpoint.t_ns == 0, (now_ns - setpoint.t_ns) * 1e-9
     if not pause:
         if dt <= 0.0:
@@ -202,9 +204,3 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
 def release_setpoint(setpoint):
     """Begin at the tool with the next setpoint."""
     setpoint.t_ns = 0
-
-
-@jit
-def mark_dryrun(setpoint, in_dryrun):
-    """Note whether the setpoint was made in DRYRUN, and not applied."""
-    setpoint.in_dryrun = in_dryrun

@@ -38,8 +38,8 @@ def setpoint_range(adaptive, wait_s):
     if descends and -response.lead_m > max(response.lift_m, adaptive.run.rate_mps * adaptive.plant.tau_s):
         since_s = (adaptive.clock.now_ns - response.test_ns) * 1e-9 + wait_s + adaptive.plant.tau_s
         lowest_m = response.test_z_m - adaptive.run.rate_mps * since_s + response.lift_m
-    if response.phase == RESPONSE_HOLD or response.phase == RESPONSE_LIFT:
+    if response.phase in (RESPONSE_HOLD, RESPONSE_LIFT):
         lowest_m = response.test_z_m + (response.lift_m if response.rises == 0 else 0.0)
-    if response.phase == RESPONSE_LIFT or response.phase == RESPONSE_FAILED:
+    if response.phase in (RESPONSE_LIFT, RESPONSE_FAILED):
         highest_m = response.ceiling_z_m
     return lowest_m, highest_m

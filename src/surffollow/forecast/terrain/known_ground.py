@@ -35,10 +35,8 @@ def known_height(adaptive, inputs, s_m, ahead_m):
     """
     if known_source(adaptive) == 0:
         return buffered_height(adaptive, s_m)
-    if inputs.n_preview < 2 or not inputs.preview_step_m > 0.0:
-        return math.nan
     f = (ahead_m - inputs.preview_from_m) / inputs.preview_step_m
-    if not 0.0 <= f < inputs.n_preview - 1:
+    if not 0.0 <= f < inputs.n_preview - 1:  # nor where there is no preview
         return math.nan
     i = int(f)
     return inputs.preview_m[i] * (1.0 - (f - i)) + inputs.preview_m[i + 1] * (f - i)

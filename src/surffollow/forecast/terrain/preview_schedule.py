@@ -47,11 +47,10 @@ def preview_uses(params, adaptive, inputs, now_ns):
     """
     if params.mode != MODE_ADAPTIVE or params.preview == 0 or adaptive.estimate.samples == 0:
         return False, False
-    leads = known_ground.known_source(adaptive) == 0  # it measures newer ground than the map
+    leads = known_ground.known_source(adaptive) == 0
     if orients(params) or leads or kinematics.is_at_rest(adaptive.kinematics):
         return False, False
-    is_due = controller_clock.period_is_due(adaptive, inputs, now_ns)
-    return has_reading(params, adaptive, inputs), is_due
+    return has_reading(params, adaptive, inputs), controller_clock.period_is_due(adaptive, inputs, now_ns)
 
 
 @jit

@@ -63,6 +63,12 @@ def usual_travel_m(adaptive):
 
 
 @jit
+def longest_hole_m(adaptive):
+    """Longest hole that is bridged [m]: that of the terrain buffer."""
+    return max(HOLE_CELLS * CELL_M, BRIDGED_TRAVELS * usual_travel_m(adaptive))
+
+
+@jit
 def store_ground(adaptive, s_m, h_m):
     """Store a height at its arc length, and fill the cells between it and the one before on a straight line.
 
@@ -84,11 +90,8 @@ def store_ground_under(adaptive, s_m, h_m):
 
     Heights that channel 0 is compared with are then of that channel alone, or of before the rest.
     """
-    if sensor_leads(adaptive):
-        stores = not is_at_rest(adaptive.kinematics)
-    else:
-        stores = adaptive.lookahead.lead_m == 0.0
-    if stores:
+    leads, behind_another = sensor_leads(adaptive), adaptive.lookahead.lead_m > 0.0
+    if not (is_at_rest(adaptive.kinematics) if leads else behind_another):
         store_ground(adaptive, s_m, h_m)
 
 
@@ -127,3 +130,30 @@ def height_at(adaptive, s_m):
         if buffer.cell[c] != 0 and away_m < nearest_m:
             nearest_m, height_m = away_m, buffer.height_m[c]
     return height_m
+
+
+@jit
+def bridge_gaps(heights_m, n, most):
+    """Fill gaps of at most `most` unknown places between known ones, linearly; how many places are known.
+
+    Samples next to a step are held back from the map until the step is confirmed: without them every edge
+    would end what is known.
+
+    Parameters
+    ----------
+    heights_m : (≥ n,) float64   updated in place; NaN where unknown
+    n, most : int
+    """
+    last, known = -1, 0
+    for k in range(n):
+        if math.isnan(heights_m[k]):
+            continue
+        gap = k - last - 1
+        if last >= 0 and gap <= most:
+            rise = (heights_m[k] - heights_m[last]) / (gap + 1)
+            for j in range(1, gap + 1):
+                heights_m[last + j] = heights_m[last] + j * rise
+            known += gap
+        last = k
+        known += 1
+    return known

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from surffollow.forecast.quantities import LONG_GAP_NS
 from surffollow.forecast.reference_scales import dimensionless_time
-from surffollow.forecast.terrain.bridges import bridge_gaps, longest_hole_m
 from surffollow.forecast.terrain.preview_schedule import preview_window
-from surffollow.forecast.terrain.terrain_buffer import CELL_M
+from surffollow.forecast.terrain.terrain_buffer import CELL_M, bridge_gaps, longest_hole_m
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import MEMORY_CELLS, MemoryCell
