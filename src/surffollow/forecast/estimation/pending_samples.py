@@ -14,6 +14,12 @@ INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and tw
 
 
 @jit
+def steepest_rise_m(params, adaptive, travel_m):
+    """Rise of nearer ground between two samples: by `MAX_SLOPE`, or as fast as the axis can move [m]."""
+    return max(MAX_SLOPE * travel_m, params.plant_v_max_mps * adaptive.prediction.interval_s)
+
+
+@jit
 def _agrees(params, adaptive, innovation_m, travel_m, gate_m):
     """Whether an outlier is as high as the pending one before, but for a slope of 1 between the two.
 
@@ -26,8 +32,8 @@ def _agrees(params, adaptive, innovation_m, travel_m, gate_m):
     tolerance = max(INNER_GATE * gate_m, params.gate_m, HOLD_TOLERANCE_COUNTS * count_m(adaptive.hold))
     tolerance += travel_m
     if further_m > 0.0 or adaptive.estimate.rests != 0:
-        axis_m = params.plant_v_max_mps * adaptive.prediction.interval_s
-        tolerance = max(tolerance, axis_m, MAX_SLOPE * travel_m if innovation_m > 0.0 else 0.0)
+        nearer_m = travel_m if innovation_m > 0.0 else 0.0
+        tolerance = max(tolerance, steepest_rise_m(params, adaptive, nearer_m))
     return pending.samples > 0 and abs(further_m) < tolerance
 
 
@@ -66,7 +72,8 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
     innovation_m : float64  innovation ν of the sample [m], outside the gate
     travel_m : float64      distance travelled since the sample before [m]
     gate_m : float64        width of the gate [m]
-    rises_on : bool         this sample is nearer, and the one before was: one sample less is needed
+    rises_on : bool         this sample is nearer, as the one before was, and ground can rise so: one sample
+                            less is needed
 
     Notes
     -----
