@@ -9,8 +9,8 @@ with a sign of a fault is tested (`response`).
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, SLOW_RATE
 from surffollow.forecast.sensing import mean_range
+from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.forecast.sensing.repeated_ranges import is_repeated
-from surffollow.forecast.sensing.unseen_ground import rise_rate
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import (
     NO_SIGN,
@@ -131,8 +131,9 @@ def sign_of_fault(adaptive, motion_m):
     few = number < mean_range.MAX_READINGS
     lags = few or error_m <= mean_range.LAG_TAUS * lag_s * run.rate_mps
     slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
-    if not below:  # the ground under the tool is not seen: it may rise as it did before
-        motion_m += rise_rate(adaptive) * run.samples * adaptive.prediction.interval_s
+    if not below:  # the ground under the tool is not seen: it may rise as when the run began
+        run_s = run.samples * adaptive.prediction.interval_s
+        motion_m += max(run.slope, 0.0) * path_speed(adaptive.kinematics) * run_s
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
         return NO_SIGN
     return SIGN_FOR_SHIFT
