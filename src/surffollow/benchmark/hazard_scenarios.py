@@ -121,7 +121,11 @@ FAMILIES = tuple(KINDS)
 @dataclass(frozen=True)
 class Scenario:
     """One hazard: readings (poses) wrong by `size_m` for `length_s`, or timestamps too old by `late_s`
-    (negative: in the future); "overtaking": readings that arrive up to `late_s` later."""
+    (negative: in the future); "overtaking": readings that arrive up to `late_s` later.
+
+    "gain": ranges too long by the share `size_m`. The tool is pushed by `push_mps` from the middle on. The
+    ground heaves by `heave_m` with the period `heave_s`.
+    """
 
     family: str
     seed: int

@@ -200,11 +200,11 @@ def play(follower: Any, s: Scenario) -> Outcome:
 
 
 def shrink(s: Scenario, harmful: Callable[[Scenario], bool]) -> Scenario:
-    """Halve size, length and lateness while the scenario stays harmful."""
+    """Halve size, length, lateness, push and heave while the scenario stays harmful."""
     changed = True
     while changed:
         changed = False
-        for name in ("size_m", "length_s", "late_s"):
+        for name in ("size_m", "length_s", "late_s", "push_mps", "heave_m"):
             value = getattr(s, name)
             smaller = replace(s, **{name: 0.5 * value})
             if abs(value) > 1e-4 and harmful(smaller):

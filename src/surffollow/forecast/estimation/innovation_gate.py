@@ -21,9 +21,9 @@ from surffollow.forecast.estimation.pending_samples import (
     INNER_GATE,
     confirm_by,
     drop_pending,
+    possible_rise_m,
     reject_pending,
     reset_pending,
-    steepest_rise_m,
 )
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant.axis_model import is_long
@@ -99,7 +99,7 @@ def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
     if not abs(innovation_m) > gate.width_m:  # NaN too: the cycle then begins without knowledge
         return ACCEPTED
     # a glitch behind a sample that waited is beyond any rise of the ground from the gate on
-    rises_on = rises_on and innovation_m < gate.width_m + steepest_rise_m(params, adaptive, travel_m)
+    rises_on = rises_on and innovation_m < gate.width_m + possible_rise_m(params, adaptive, travel_m)
     if not confirm_by(params, adaptive, innovation_m, travel_m, gate.width_m, rises_on):
         return PENDING
     return RESTART if adaptive.pending.samples > samples else STEP

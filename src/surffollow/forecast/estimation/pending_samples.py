@@ -14,7 +14,7 @@ INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and tw
 
 
 @jit
-def steepest_rise_m(params, adaptive, travel_m):
+def possible_rise_m(params, adaptive, travel_m):
     """Rise of nearer ground between two samples: by `MAX_SLOPE`, or as fast as the axis can move [m]."""
     return max(MAX_SLOPE * travel_m, params.plant_v_max_mps * adaptive.prediction.interval_s)
 
@@ -33,7 +33,7 @@ def _agrees(params, adaptive, innovation_m, travel_m, gate_m):
     tolerance += travel_m
     if further_m > 0.0 or adaptive.estimate.rests != 0:
         nearer_m = travel_m if innovation_m > 0.0 else 0.0
-        tolerance = max(tolerance, steepest_rise_m(params, adaptive, nearer_m))
+        tolerance = max(tolerance, possible_rise_m(params, adaptive, nearer_m))
     return pending.samples > 0 and abs(further_m) < tolerance
 
 
