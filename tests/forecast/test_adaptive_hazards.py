@@ -83,6 +83,45 @@ def test_the_only_sensor_leads_and_is_blocked_over_rising_ground(seed):
     assert not play(follower(KINDS[family].mounts_m), draw(family, seed)).contact_valid
 
 
+@pytest.mark.parametrize(
+    ("family", "seed"),
+    [
+        (f"one of {n} blocked", seed)
+        for n, seed in [("three", 1520000), ("three", 1520004), ("four", 1520042)]
+    ],
+)
+def test_a_blocked_beam_of_a_ring_does_not_turn_the_tool_on_and_on(family, seed):
+    """GIVEN a beam of three or four that is blocked THEN the ring turns by less than 20 degrees.
+
+    It turned by 32 to 42: slopes from the blocked beam stayed after it was left out, and a test of the
+    rotation was answered by the other beams.
+    """
+    scenario = draw(family, seed)
+    ours, plain = play(follower(KINDS[family].mounts_m), scenario), play(PLoop(), scenario)
+    print(f"tilt {math.degrees(ours.tilt_rad):.1f} degrees, least clearance {1e3 * ours.clearance_m:.1f} mm")
+    assert math.degrees(ours.tilt_rad) < 20.0
+    assert shortfall_m(plain.clearance_m, ours.clearance_m) < BELOW_P_M
+
+
+@pytest.mark.parametrize("seed", [1520006, 1520038])
+def test_the_tool_does_not_descend_while_nearer_samples_wait(seed):
+    """GIVEN noise that grows twentyfold WHEN few samples enter by chance THEN their slope leads nowhere.
+
+    The tool descended for 0.1 s along it, 10 to 15 mm, while a dozen nearer samples agreed with none.
+    """
+    scenario = draw("much noise", seed)
+    ours, plain = play(follower(), scenario), play(PLoop(), scenario)
+    assert shortfall_m(plain.clearance_m, ours.clearance_m) < BELOW_P_M
+
+
+def test_a_slow_sensor_that_falls_silent_in_a_test_ends_the_demand():
+    """GIVEN a blocked sensor of 20 Hz WHEN it is too near to see the ground THEN no contact while VALID.
+
+    The tool was held, and the ground rose into it.
+    """
+    assert not play(follower(), draw("blocked and slow", 1510035)).contact_valid
+
+
 @pytest.mark.parametrize("seed", [450054, 450060, 450072, 450157, 450219])
 def test_a_quiet_sensor_that_froze_at_the_end_of_a_fall_is_not_believed_by_chance(seed):
     """GIVEN a frozen range with less than usual noise WHEN chance repeats it, and ends that, THEN no contact.

@@ -71,7 +71,7 @@ def test_first_plane_is_the_least_squares_plane_of_the_footprints():
         params["n_channels"] = n
         a["beams"]["footprint_m"][: 3 * n] = np.column_stack([xy, z]).ravel()
         a["beams"]["t_ns"][:n] = T0
-        good, h = plane_height(params, a, T0, 0.1, -0.2)
+        good, h = plane_height(params, a, T0, np.array([0.1, -0.2, 0.1, 0.0, 0.0, 0.0, 1.0]))
         design = np.column_stack([np.ones(n), xy])
         (h0, sx, sy), *_ = np.linalg.lstsq(design, z, rcond=None)
         spread = np.linalg.eigvalsh(np.cov(xy.T))

@@ -60,6 +60,16 @@ def test_in_silence_the_ground_may_have_risen_since_the_newest_sample(interval_s
     assert uncertain_clearance(a, True) == pytest.approx(0.01 + SLOPE_RMS * SPEED_MPS)
 
 
+def test_silence_in_a_test_leaves_all_since_the_run_uncertain_under_a_slow_sensor_too():
+    """A blocked sensor that falls silent may be so near that it sees nothing: what it read does not count."""
+    a = sensor_in(RESPONSE_LIFT)
+    a["prediction"]["interval_s"], a["blend"]["tracked_m"] = 0.03, 0.1
+    a["run"]["top_z_m"], a["run"]["samples"] = 0.15, 20
+    a["clock"]["now_ns"], a["hold"]["t_ns"] = 5 * 10**9, 4 * 10**9
+    risen_m = SLOPE_BEFORE * SPEED_MPS * (1.0 + 20 * 0.03)
+    assert uncertain_clearance(a, True) == pytest.approx(0.05 + risen_m)
+
+
 def test_an_edge_of_known_ground_is_no_rate_that_an_axis_follows():
     params, a = default_params(), zeros(AdaptiveState)[0]
     params["plant_v_max_mps"] = 0.2

@@ -111,7 +111,11 @@ KINDS = {
     ),
     "only ahead and blocked": Kind((0.0, 20e-3), (0.3, 2.0), signed=True, mounts_m=AHEAD, slope=(0.0, 0.3)),
     "only ahead and heaving": Kind(interval_ms=(READING_MS, 60), mounts_m=AHEAD, heave_m=0.03),
+    "mostly lost": Kind((0.5, 0.95), (2.0, 2.0), slope=(0.0, 0.2), interval_ms=(READING_MS, 30)),
+    "near outliers": Kind((5e-3, 40e-3), (2.0, 2.0), slope=(0.0, 0.2), interval_ms=(READING_MS, 60)),
+    "far outliers": Kind((5e-3, 40e-3), (2.0, 2.0), slope=(0.0, 0.2), interval_ms=(READING_MS, 60)),
 }
+OUTLIER_SHARE = 0.3  # of all readings
 HEAVE_S = (0.7, 3.0)  # period
 MAX_CLIMB_MPS = 0.1  # over slopes of more than 1: half of what the axis can
 MAX_RISE = 0.25  # between two readings, of the distance between stand-off and near limit
@@ -123,8 +127,8 @@ class Scenario:
     """One hazard: readings (poses) wrong by `size_m` for `length_s`, or timestamps too old by `late_s`
     (negative: in the future); "overtaking": readings that arrive up to `late_s` later.
 
-    "gain": ranges too long by the share `size_m`. The tool is pushed by `push_mps` from the middle on. The
-    ground heaves by `heave_m` with the period `heave_s`.
+    "gain": ranges too long by the share `size_m`; "mostly lost": the share of readings that are lost. The
+    tool is pushed by `push_mps` from the middle on. The ground heaves by `heave_m` with the period `heave_s`.
     """
 
     family: str

@@ -22,6 +22,7 @@ from surffollow.benchmark.hazard_scenarios import (
     KINDS,
     LATE_MS,
     NEAR_M,
+    OUTLIER_SHARE,
     POSE_LATE_MS,
     SECONDS,
     SIGMA_M,
@@ -113,8 +114,10 @@ def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> flo
         return r + s.size_m * float(rng.standard_normal())
     if s.family == "burst":
         return r + s.size_m * float(rng.uniform(-1.0, 1.0))
-    if s.family == "lost":
+    if s.family == "lost" or (s.family == "mostly lost" and rng.random() < s.size_m):
         return math.nan
+    if s.family.endswith("outliers") and rng.random() < OUTLIER_SHARE:  # spray and fish, or multiple echoes
+        return r + s.size_m * float(rng.uniform(-1.0, 0.0) if s.family == "near outliers" else rng.random())
     if s.family == "glitches" and rng.random() < 0.15:
         return r + s.size_m * float(rng.uniform(-1.0, 1.0))
     return r

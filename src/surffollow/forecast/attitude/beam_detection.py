@@ -2,13 +2,14 @@
 
 Each beam gives a height under the tool by way of the known slopes. A beam that deviates from the median of
 these heights by more than the gate is excluded. After some samples it is accepted again (the ground has
-turned), unless three others agree on a plane. A beam whose range is constant while the tool's motion changes
-those of two others is blocked, or stuck. Without a majority the beams that see the nearest ground count.
+turned), unless three others agree on a plane. One of three may be blocked (`blocked_beam`). Without a
+majority the beams that see the nearest ground count.
 """
 
 import math
 
 from surffollow.forecast.attitude.beam_times import is_recent, lateness_ns
+from surffollow.forecast.attitude.blocked_beam import beam_gate_m, is_blocked, observe_range
 from surffollow.forecast.attitude.plane_regression import (
     flat_height,
     half_squared_distance,
@@ -16,7 +17,7 @@ from surffollow.forecast.attitude.plane_regression import (
     odd_beam,
     plausible_bend_m,
 )
-from surffollow.forecast.estimation.noise import assumed_noise_m, estimated_range_noise_m
+from surffollow.forecast.estimation.noise import estimated_range_noise_m
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import (
@@ -26,10 +27,7 @@ from surffollow.forecast.quantities import (
     PAUSE_NS,
     REPEAT_BAND,
     USUAL_SAMPLES,
-    tolerated_gap_s,
 )
-from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
-from surffollow.forecast.sensing.mean_range import BAND_SIGMAS, TEST_BAND_FACTOR, mean_band_m, mean_samples
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
 
@@ -121,65 +119,6 @@ def observe_beams(params, adaptive, sense, pose):
 
 
 @jit
-def beam_noise_m(params, adaptive):
-    """Standard deviation of a range [m]. That of the heights is less: they are means over the beams."""
-    return assumed_noise_m(adaptive.noise) * math.sqrt(params.n_channels)
-
-
-@jit
-def count_changes_anew(beams, c, t_ns, sensor_z_m):
-    """Count the changes of other ranges, and the motion of the sensor, from now on."""
-    beams.run_ns[c], beams.run_changes[c] = t_ns, beams.changes
-    beams.run_z_m[c], beams.run_motion_m[c] = sensor_z_m, 0.0
-
-
-@jit
-def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
-    """Update the mean range of a beam; a run of constant ranges ends when it has changed.
-
-    Parameters
-    ----------
-    params, adaptive : records of `Params`, `AdaptiveState` (`beams` updated)
-    c : int               channel
-    t_ns : int64          timestamp of its newest range
-    range_m : float64     that range [m]
-    sensor_z_m : float64  height of the sensor at that time [m]
-    """
-    beams, number, sigma = adaptive.beams, mean_samples(adaptive), beam_noise_m(params, adaptive)
-    deviation, most = range_m - beams.mean_m[c], BAND_SIGMAS * sigma
-    since_s = (t_ns - beams.t_ns[c]) * 1e-9
-    begins = beams.t_ns[c] == 0 or not 0.0 <= since_s <= tolerated_gap_s(adaptive.prediction.interval_s)
-    beams.mean_m[c] += min(max(deviation, -most), most) / number
-    change = abs(beams.mean_m[c] - beams.run_mean_m[c])
-    if begins or change > TEST_BAND_FACTOR * mean_band_m(sigma, number):
-        if begins or abs(deviation) > most:  # of a step the mean sees a part
-            beams.mean_m[c] = range_m
-        beams.changes += 1 if beams.changed != c else 0
-        beams.changed, beams.run_mean_m[c] = c, beams.mean_m[c]
-        count_changes_anew(beams, c, t_ns, sensor_z_m)
-    elif t_ns - beams.run_ns[c] > LONG_GAP_NS and not is_blocked(params, adaptive, c):
-        count_changes_anew(beams, c, t_ns, sensor_z_m)
-    beams.run_motion_m[c] = max(beams.run_motion_m[c], abs(sensor_z_m - beams.run_z_m[c]))
-
-
-@jit
-def is_blocked(params, adaptive, c):
-    """Whether the range of one of three beams has stayed while its sensor moved and both others changed.
-
-    The ground seems to move with the sensor. Over ground that is followed well, all ranges stay. More than
-    three beams are isolated by the plane on which they lie.
-    """
-    beams, n = adaptive.beams, 0
-    for k in range(params.n_channels):
-        late_ns = lateness_ns(beams, c) + lateness_ns(beams, k)
-        n += 1 if is_recent(beams, k, beams.t_ns[c], late_ns) else 0
-    least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
-    changes = beams.changes - beams.run_changes[c]
-    # six changes of the two others by turns in a second are no chance
-    return n == 3 and changes >= 6 and beams.run_motion_m[c] > least_m
-
-
-@jit
 def collect_heights(params, adaptive, t_ns, x_m, y_m):
     """Sorted heights at (x, y) by beams that are recent and not blocked; their number, and of repeating ones.
 
@@ -197,10 +136,11 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
     int64, int64
     """
     beams, plane = adaptive.beams, adaptive.plane
-    timely, n, repeating = 0, 0, 0
+    timely, n, repeating, beams.blocked = 0, 0, 0, 0
     for c in range(params.n_channels):
-        recent = is_recent(beams, c, t_ns)
-        beams.accepted[c] = 1 if recent and not is_blocked(params, adaptive, c) else 0
+        recent, blocked = is_recent(beams, c, t_ns), is_blocked(params, adaptive, c)
+        beams.blocked += 1 if blocked else 0
+        beams.accepted[c] = 1 if recent and not blocked else 0
         beams.old[c] = 1 if beams.t_ns[c] != 0 and not recent else 0
         timely += beams.accepted[c]
     for c in range(params.n_channels):
@@ -242,7 +182,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     beams, begun = adaptive.beams, adaptive.plane.count > 0
     n, repeating = collect_heights(params, adaptive, t_ns, x_m, y_m)
     median = 0.5 * (beams.sorted_m[(n - 1) // 2] + beams.sorted_m[n // 2])
-    gate = max(params.gate_scales * adaptive.noise.sigma_m, 2.0 * params.gate_m)
+    gate = beam_gate_m(params, adaptive)
     agree, turned = 0, 5  # after so many samples outside the gate the ground has turned
     for k in range(n):
         agree += 1 if abs(beams.sorted_m[k] - median) <= gate else 0
@@ -292,5 +232,5 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
 @jit
 def release_beams(beams):
     """Forget which beams agree: they give no normal any more."""
-    beams.inconsistent = 0
+    beams.inconsistent = beams.blocked = 0
     beams.accepted[:] = beams.old[:] = 0

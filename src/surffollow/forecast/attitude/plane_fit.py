@@ -7,31 +7,37 @@ beam, the track that the reference beam draws on the ground updates the slope al
 import math
 
 from surffollow.forecast.attitude import beam_detection, plane_regression
+from surffollow.forecast.pose import to_world
 from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE, tolerated_gap_s
 from surffollow.shm.jit import jit
 
 
 @jit
-def plane_height(params, adaptive, t_ns, x_m, y_m):
+def plane_height(params, adaptive, t_ns, pose):
     """Height under the tool from all accepted beams, and their number; 0 when there are none.
 
-    The height is that of the plane that touches the ground where the tool's axis meets it.
+    The height is that of the plane that touches the ground where the tool's axis meets it. A beam of three
+    that is found blocked has tilted the plane: it begins anew, perpendicular to the tool.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (updated)
-    t_ns : int64        timestamp of the sample
-    x_m, y_m : float64  place of the tool, world frame [m]
+    t_ns : int64         timestamp of the sample
+    pose : (7,) float64  pose of the tool at that time
 
     Returns
     -------
     int64, float64 [m]
     """
-    plane = adaptive.plane
+    plane, x_m, y_m, before = adaptive.plane, pose[0], pose[1], adaptive.beams.blocked
     dt = propagate_slopes(adaptive, t_ns)
     accepted = beam_detection.isolate_faults(params, adaptive, t_ns, x_m, y_m)
     if accepted == 0:
         return 0, 0.0
+    axis = to_world(pose, 0, 0.0, 0.0, 1.0)
+    if adaptive.beams.blocked > before and axis[2] > 0.0:
+        plane.slope_x, plane.slope_y = -axis[0] / axis[2], -axis[1] / axis[2]
+        shift_slopes(plane, 0.0, 0.0)
     fit = update_plane(params, adaptive, dt)
     follow_track(adaptive, dt)
     if plane.first_ns == 0 or t_ns < plane.first_ns:

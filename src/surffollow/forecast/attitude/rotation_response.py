@@ -100,15 +100,18 @@ def observe_rotation(params, adaptive, t_ns, pose):
     mean[0], mean[1] = mean[0] + share * (dx - mean[0]), mean[1] + share * (dy - mean[1])
     # beyond four standard deviations of the mean the deviation has changed
     band = 4.0 * assumed_noise_m(adaptive.noise) * math.sqrt(share / plane.spread_m2)
-    factor = 1.0 if rotation.phase == ROTATION_RUN else TEST_BAND_FACTOR
-    if math.hypot(mean[0] - run[0], mean[1] - run[1]) > factor * band:
-        _begin_run(rotation, t_ns, axis)
-        return
     u = rotation.run_axis if rotation.phase == ROTATION_RUN else rotation.test_axis
     _, turn = rotation_between(u, axis)
     # the tool stops at `permitted_turn_rad` from the test's direction
     least = MOTION_BANDS * band
     probe = least + params.permitted_turn_rad
+    back = probe - turn  # by which the tool has turned back in a test
+    # with one blocked beam of three the deviation grows by a third of the rotation
+    answer = band if rotation.phase == ROTATION_RUN else max(TEST_BAND_FACTOR * band, 0.5 * back)
+    answers = rotation.phase == ROTATION_RUN or back > 0.5 * least
+    if answers and math.hypot(mean[0] - run[0], mean[1] - run[1]) > answer:
+        _begin_run(rotation, t_ns, axis)
+        return
     if rotation.phase == ROTATION_RUN:
         rotation.samples += 1
         if rotation.samples < RUN_SAMPLES:  # the mean of the run is the better known one
@@ -123,7 +126,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
             for i in range(3):
                 rotation.test_axis[i] = axis[i] + probe / turn * (rotation.run_axis[i] - axis[i])
     elif rotation.phase == ROTATION_TEST:
-        rotation.samples += 1 if turn < probe - 0.5 * least else 0
+        rotation.samples += 1 if back > 0.5 * least else 0
         if params.run != RUN_NORMAL:
             rotation.test_ns = t_ns  # no rotation is applied
         longest_s = ANSWER_TAUS * adaptive.plant.tau_s + 2.0 * probe / params.max_turn_speed_radps

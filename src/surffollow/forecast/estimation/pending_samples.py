@@ -5,7 +5,7 @@ because it may be a slot. The distance depends on the likelihood of slots: slots
 """
 
 from surffollow.forecast.plant.axis_model import is_long
-from surffollow.forecast.quantities import MAX_SLOPE, PAUSE_NS
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
 from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS, count_m
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
@@ -105,6 +105,13 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
     stood = estimate.sample_ns - pending.t_ns >= PAUSE_NS
     is_step = innovation_m > 0.0 or travelled or stood or pending.samples > estimate.samples
     return pending.samples >= _needed(params, adaptive, rises_on) and is_step
+
+
+@jit
+def nearer_wait(pending):
+    """Whether several samples in a row wait, and lie nearer than the estimate: it may be wrong."""
+    nearer = pending.samples > 0 and pending.innovation_m > 0.0
+    return nearer and pending.samples + pending.rejected >= CONFIRMATION_SAMPLES
 
 
 @jit

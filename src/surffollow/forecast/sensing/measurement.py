@@ -60,7 +60,7 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     at_rest = kinematics.is_at_rest(adaptive.kinematics)
     if orients(params):
         x, y = pose[0], pose[1]
-        accepted, h = plane_fit.plane_height(params, adaptive, t, x, y)
+        accepted, h = plane_fit.plane_height(params, adaptive, t, pose)
         if accepted == 0:
             return
         rotation_response.observe_rotation(params, adaptive, t, pose)

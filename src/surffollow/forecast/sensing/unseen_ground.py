@@ -26,8 +26,9 @@ def uncertain_clearance(adaptive, silent):
     """Clearance that may be lost unseen [m].
 
     In a test of the response it is that since the run of ranges began which the test is about: all ranges
-    since then are uncertain, and the tool has moved. A slow sensor is no such one: the ground changes while
-    an answer is awaited, and a test may fail by chance. In silence it is that since the newest sample.
+    since then are uncertain, and the tool has moved. A test of a slow sensor may fail by chance, since the
+    ground changes while an answer is awaited: it counts when the sensor falls silent in it. In silence
+    without a test it is that since the newest sample.
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ def uncertain_clearance(adaptive, silent):
     silent : bool  samples are missing
     """
     response, run, setpoint = adaptive.response, adaptive.run, adaptive.setpoint
-    tested = response.phase != RESPONSE_RUN and not is_slow(adaptive)
+    tested = response.phase != RESPONSE_RUN and (silent or not is_slow(adaptive))
     if not tested and not silent:
         return 0.0
     begin_m, unseen_s = adaptive.blend.tracked_m, (adaptive.clock.now_ns - adaptive.hold.t_ns) * 1e-9

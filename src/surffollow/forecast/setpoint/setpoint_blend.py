@@ -4,6 +4,7 @@ import math
 
 from surffollow.forecast import quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
+from surffollow.forecast.estimation.pending_samples import nearer_wait
 from surffollow.forecast.plant import controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
 from surffollow.forecast.sensing.health import missing_s
@@ -184,7 +185,8 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS) > 0.0
     few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
-    no_descent = tool_z_m if stuck or hardly_known else -math.inf
+    uncertain = stuck or hardly_known or nearer_wait(adaptive.pending)
+    no_descent = tool_z_m if uncertain else -math.inf
     wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
     lowest, highest = setpoint_range(adaptive, wait_s)
     if stuck:  # ground that is not seen may rise as steeply as it did before
