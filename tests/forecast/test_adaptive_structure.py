@@ -51,6 +51,7 @@ OWNERS = {
     "known": "known_ground",
     "plan": "preview_control",
     "beams": "beam_detection",
+    "beam_runs": "blocked_beam",
     "plane": "plane_fit",
     "rotation": "rotation_response",
     "attitude": "attitude",

@@ -21,6 +21,7 @@ from surffollow.shm.layout_adaptive_estimation import (
     Weights,
 )
 from surffollow.shm.layout_adaptive_sensing import (
+    BeamRuns,
     Beams,
     Clock,
     ConstantRanges,
@@ -198,6 +199,7 @@ class AdaptiveState(Schema):
     preview = Nested(Preview)
     plan = Nested(Plan)
     beams = Nested(Beams)
+    beam_runs = Nested(BeamRuns)
     plane = Nested(Plane)
     rotation = Nested(Rotation)
     attitude = Nested(Attitude)

@@ -213,15 +213,6 @@ class Beams(Schema):
     reach_s = F64(unit="s", doc="a footprint may be late by so much")
     repeat_range_m = F64(BEAMS, unit="m", doc="first range of a run of like ones")
     repeat_ns = I64(BEAMS, unit="ns", doc="when that run began; 0: none yet")
-    mean_m = F64(BEAMS, unit="m", doc="mean of the newest ranges per beam")
-    run_mean_m = F64(BEAMS, unit="m", doc="that when a run of constant ranges began")
-    run_samples = I64(BEAMS, doc="samples of that run")
-    run_z_m = F64(BEAMS, unit="m", doc="height of the sensor when changes of the others are counted from")
-    run_ns = I64(BEAMS, unit="ns", doc="timestamp of that")
-    run_changes = I64(BEAMS, doc="`changes` then")
-    run_motion_m = F64(BEAMS, unit="m", doc="greatest motion of the sensor since then")
-    changes = I64(doc="changes of mean ranges, of beams by turns")
-    changed = I64(doc="beam of the newest one")
     deviation = F64(BEAMS, doc="height above the median, in gates")
     accepted = I64(BEAMS, doc="1: in the plane fit")
     blocked = I64(doc="beams whose range stays while the tool's motion changes those of two others")
@@ -234,6 +225,20 @@ class Beams(Schema):
     axis_y_m = F64(unit="m")
     reference = I64(doc="channel whose samples are the follower's samples")
     inconsistent = I64(doc="> 0: no majority of beams, the nearer ground counts; samples until it ends")
+
+
+class BeamRuns(Schema):
+    """Runs of constant ranges per beam of a ring of three (`blocked_beam`)."""
+
+    mean_m = F64(BEAMS, unit="m", doc="mean of the newest ranges")
+    range_m = F64(BEAMS, unit="m", doc="mean of the run")
+    samples = I64(BEAMS, doc="samples of the run")
+    t_ns = I64(BEAMS, unit="ns", doc="timestamp from which changes of the others are counted")
+    z_m = F64(BEAMS, unit="m", doc="height of the sensor then")
+    motion_m = F64(BEAMS, unit="m", doc="greatest motion of the sensor since then")
+    changes_before = I64(BEAMS, doc="`changes` then")
+    changes = I64(doc="changes of mean ranges, of beams by turns")
+    changed = I64(doc="beam of the newest one")
 
 
 class Plane(Schema):

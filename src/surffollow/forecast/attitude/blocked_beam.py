@@ -29,10 +29,10 @@ def beam_noise_m(params, adaptive):
 
 
 @jit
-def count_changes_anew(beams, c, t_ns, sensor_z_m):
+def count_changes_anew(runs, c, t_ns, sensor_z_m):
     """Count the changes of other ranges, and the motion of the sensor, from now on."""
-    beams.run_ns[c], beams.run_changes[c] = t_ns, beams.changes
-    beams.run_z_m[c], beams.run_motion_m[c] = sensor_z_m, 0.0
+    runs.t_ns[c], runs.changes_before[c] = t_ns, runs.changes
+    runs.z_m[c], runs.motion_m[c] = sensor_z_m, 0.0
 
 
 @jit
@@ -41,45 +41,46 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
 
     Parameters
     ----------
-    params, adaptive : records of `Params`, `AdaptiveState` (`beams` updated)
+    params, adaptive : records of `Params`, `AdaptiveState` (`beam_runs` updated)
     c : int               channel
     t_ns : int64          timestamp of its newest range
     range_m : float64     that range [m]
     sensor_z_m : float64  height of the sensor at that time [m]
     """
-    beams, number, sigma = adaptive.beams, mean_samples(adaptive), beam_noise_m(params, adaptive)
-    deviation, most = range_m - beams.mean_m[c], BAND_SIGMAS * sigma
-    since_s = (t_ns - beams.t_ns[c]) * 1e-9
-    begins = beams.t_ns[c] == 0 or not 0.0 <= since_s <= tolerated_gap_s(adaptive.prediction.interval_s)
-    beams.mean_m[c] += min(max(deviation, -most), most) / number
-    change = abs(beams.mean_m[c] - beams.run_mean_m[c])
+    runs, newest_ns = adaptive.beam_runs, adaptive.beams.t_ns[c]
+    number, sigma = mean_samples(adaptive), beam_noise_m(params, adaptive)
+    deviation, most = range_m - runs.mean_m[c], BAND_SIGMAS * sigma
+    since_s = (t_ns - newest_ns) * 1e-9
+    begins = newest_ns == 0 or not 0.0 <= since_s <= tolerated_gap_s(adaptive.prediction.interval_s)
+    runs.mean_m[c] += min(max(deviation, -most), most) / number
+    change = abs(runs.mean_m[c] - runs.range_m[c])
     if begins or change > TEST_BAND_FACTOR * mean_band_m(sigma, number):
         if begins or abs(deviation) > most:  # of a step the mean sees a part
-            beams.mean_m[c] = range_m
-        beams.changes += 1 if beams.changed != c else 0
-        beams.changed, beams.run_mean_m[c] = c, beams.mean_m[c]
-        count_changes_anew(beams, c, t_ns, sensor_z_m)
+            runs.mean_m[c] = range_m
+        runs.changes += 1 if runs.changed != c else 0
+        runs.changed, runs.range_m[c] = c, runs.mean_m[c]
+        count_changes_anew(runs, c, t_ns, sensor_z_m)
         if not begins and abs(deviation) > beam_gate_m(params, adaptive):
-            beams.run_changes[c] -= CHANGES // 2  # a fault begins at once
-        beams.run_samples[c] = 0
-    elif t_ns - beams.run_ns[c] > LONG_GAP_NS and not is_blocked(params, adaptive, c):
-        count_changes_anew(beams, c, t_ns, sensor_z_m)
-    beams.run_samples[c] += 1
-    if number < beams.run_samples[c] < RUN_SAMPLES:  # the mean of the run is the better known one
-        beams.run_mean_m[c] += (beams.mean_m[c] - beams.run_mean_m[c]) / beams.run_samples[c]
-    beams.run_motion_m[c] = max(beams.run_motion_m[c], abs(sensor_z_m - beams.run_z_m[c]))
+            runs.changes_before[c] -= CHANGES // 2  # a fault begins at once
+        runs.samples[c] = 0
+    elif t_ns - runs.t_ns[c] > LONG_GAP_NS and not is_blocked(params, adaptive, c):
+        count_changes_anew(runs, c, t_ns, sensor_z_m)
+    runs.samples[c] += 1
+    if number < runs.samples[c] < RUN_SAMPLES:  # the mean of the run is the better known one
+        runs.range_m[c] += (runs.mean_m[c] - runs.range_m[c]) / runs.samples[c]
+    runs.motion_m[c] = max(runs.motion_m[c], abs(sensor_z_m - runs.z_m[c]))
 
 
 @jit
 def is_blocked(params, adaptive, c):
     """Whether the range of one of three beams has stayed while its sensor moved and both others changed."""
-    beams, n = adaptive.beams, 0
+    beams, runs, n = adaptive.beams, adaptive.beam_runs, 0
     for k in range(params.n_channels):
         late_ns = lateness_ns(beams, c) + lateness_ns(beams, k)
         n += 1 if is_recent(beams, k, beams.t_ns[c], late_ns) else 0
     least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
-    changes = beams.changes - beams.run_changes[c]
-    return n == 3 and changes >= CHANGES and beams.run_motion_m[c] > least_m
+    changes = runs.changes - runs.changes_before[c]
+    return n == 3 and changes >= CHANGES and runs.motion_m[c] > least_m
 
 
 @jit

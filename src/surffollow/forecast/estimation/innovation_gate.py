@@ -139,7 +139,7 @@ def register_step(params, gate, pending, t_ns):
         gate.slot_likelihood = 1.0
     gate.travel_since_step_m = 0.0
     gate.nearer = 1 if pending.innovation_m > 0.0 else 0
-    gate.step_m = 0.0 if leaves_slot or pending.rejected > 0 else pending.innovation_m / pending.samples
+    gate.step_m = 0.0 if leaves_slot or burst else pending.innovation_m / pending.samples
     gate.step_ns = t_ns
     gate.withheld_m = 0.0
     drop_pending(pending)
