@@ -17,6 +17,7 @@ from running_service import WAIT_S, until
 from surffollow.arbiter.config import parse_config
 from surffollow.arbiter.server import Server
 from surffollow.errors import NoPermissionError
+from surffollow.shm.ending_signals import ending_signals, handle_ending
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -72,6 +73,25 @@ def test_a_signal_ends_a_compilation(make_arbiter, tmp_path, number):
 
     # on a busy machine a signal may come when the compilation is over; it does not each time
     assert any(compile_and_signal(attempt) == "" for attempt in range(5))
+
+
+def test_a_signal_between_the_handlers_is_not_lost(monkeypatch):
+    """GIVEN a signal right behind its handler THEN the arbiter does not start; it went on, and was READY."""
+    config = parse_config(tomllib.loads(CONFIG.replace("MORE_CLIENTS", "")) | {"name": f"h{os.getpid()}"})
+    before = {n: signal.getsignal(n) for n in ending_signals()}
+
+    def handle_and_signal(handler):
+        handle_ending(handler)
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("surffollow.arbiter.server.handle_ending", handle_and_signal)
+    server, announced = Server(config), []
+    try:
+        server.run(lambda: announced.append(server.stop()))
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert announced == []
 
 
 def test_a_server_that_cannot_start_gives_its_descriptors_back(monkeypatch):

@@ -112,13 +112,13 @@ class Server:
 
     def run(self, on_ready: Callable[[], None] | None = None) -> None:
         """Start the loop, announce READY, welcome clients until asked to stop, end cleanly."""
-        if threading.current_thread() is threading.main_thread():
-            handle_ending(lambda *_: self._on_signal())
-            # a handler of Python's runs between two bytecodes: a signal just before a wait would not end it
-            signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False)
         thread = threading.Thread(target=self._loop_thread, name="arbiter", daemon=True)
         try:
-            self._compiling = True
+            self._compiling = True  # before the handlers: a signal right behind them would be lost
+            if threading.current_thread() is threading.main_thread():
+                # Python runs a handler between two bytecodes: a signal just before a wait would not end it
+                signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False)
+                handle_ending(lambda *_: self._on_signal())
             self._start_resources()
             run_rounds(self.mem, 0)  # compiles, or loads what was compiled
             self._compiling = False
