@@ -85,16 +85,15 @@ def test_the_only_sensor_leads_and_is_blocked_over_rising_ground(seed):
 
 @pytest.mark.parametrize(
     ("family", "seed"),
-    [
-        (f"one of {n} blocked", seed)
-        for n, seed in [("three", 1520000), ("three", 1520004), ("four", 1520042)]
-    ],
+    [("one of three blocked", seed) for seed in (1520000, 1520004, 1520005, 1520029)]
+    + [("one of four blocked", 1520042)],
 )
 def test_a_blocked_beam_of_a_ring_does_not_turn_the_tool_on_and_on(family, seed):
     """GIVEN a beam of three or four that is blocked THEN the ring turns by less than 20 degrees.
 
-    It turned by 32 to 42: slopes from the blocked beam stayed after it was left out, and a test of the
-    rotation was answered by the other beams.
+    It turned by up to 42: slopes from the blocked beam stayed after it was left out, and a test of the
+    rotation was answered by the other beams. Two seeds cost 7 to 9 mm without the mean of a run, and as much
+    where a jump counts for nothing.
     """
     scenario = draw(family, seed)
     ours, plain = play(follower(KINDS[family].mounts_m), scenario), play(PLoop(), scenario)

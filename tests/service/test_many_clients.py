@@ -85,6 +85,18 @@ def test_a_second_pose_writer_is_refused_with_the_pid_of_the_first(
     until(lambda: client.status()["main"]["pose_pid"] == os.getpid(), "the second holds the pose")
 
 
+def count_requests(client: Client, asked: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Append to `asked` for each request that was sent."""
+    own_request = client._request
+
+    def request(*args: Any, **named: Any) -> Any:
+        ticket = own_request(*args, **named)
+        asked.append(1)
+        return ticket
+
+    monkeypatch.setattr(client, "_request", request)
+
+
 def test_after_a_refused_pose_further_calls_ask_nothing_for_a_while(
     shared_service: Service, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,14 +106,7 @@ def test_after_a_refused_pose_further_calls_ask_nothing_for_a_while(
         # GIVEN a client whose pose was refused, after a few questions
         with pytest.raises(BusyError, match="release_pose") as first:
             other.ee_pos(POSE)
-        own_request = other._request
-
-        def request(*args: Any, **named: Any) -> Any:
-            ticket = own_request(*args, **named)
-            asked.append(1)
-            return ticket
-
-        monkeypatch.setattr(other, "_request", request)
+        count_requests(other, asked, monkeypatch)
         # WHEN it goes on within the time, THEN each call is refused with the same words and asks nothing
         refusal = other._refusals[POSE_CLAIM]
         other._refusals[POSE_CLAIM] = refusal._replace(until_ns=time.monotonic_ns() + 3600 * 10**9)
@@ -140,14 +145,7 @@ def test_the_claim_that_waits_asks_a_few_times(
     asked: list[int] = []
     with shared_service.attach() as other:
         client.ee_pos(POSE)
-        own_request = other._request
-
-        def request(*args: Any, **named: Any) -> Any:
-            ticket = own_request(*args, **named)
-            asked.append(1)
-            return ticket
-
-        monkeypatch.setattr(other, "_request", request)
+        count_requests(other, asked, monkeypatch)
         with pytest.raises(BusyError, match="release_pose"):
             other.claim_pose()
         assert 2 <= len(asked) <= 6

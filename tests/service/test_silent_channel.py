@@ -21,7 +21,7 @@ def test_the_status_names_a_dead_sensor(make_service: Callable[..., Service]) ->
                 with contextlib.suppress(NotRunningError):  # it stands still for a moment
                     client.ee_pos(POSE)
 
-        # poses go on while `status` starts: without them the loss of the estimate is the graver reason
+        # poses go on while `status` starts: other reasons would follow without them
         sender = threading.Thread(target=send)
         sender.start()
         try:

@@ -34,10 +34,8 @@ def plane_height(params, adaptive, t_ns, pose):
     accepted = beam_detection.isolate_faults(params, adaptive, t_ns, x_m, y_m)
     if accepted == 0:
         return 0, 0.0
-    axis = to_world(pose, 0, 0.0, 0.0, 1.0)
-    if adaptive.beams.blocked > before and axis[2] > 0.0:
-        plane.slope_x, plane.slope_y = -axis[0] / axis[2], -axis[1] / axis[2]
-        shift_slopes(plane, 0.0, 0.0)
+    if adaptive.beams.blocked > before:
+        begin_at_tool(plane, pose)
     fit = update_plane(params, adaptive, dt)
     follow_track(adaptive, dt)
     if plane.first_ns == 0 or t_ns < plane.first_ns:
@@ -45,6 +43,15 @@ def plane_height(params, adaptive, t_ns, pose):
     if plane.count == 0 and t_ns - plane.first_ns < MAX_GAP_NS:
         return 0, 0.0  # the height by one beam on a slope is wrong: wait for the others
     return accepted, fit.h_m - plane.slope_x * (fit.x_m - x_m) - plane.slope_y * (fit.y_m - y_m)
+
+
+@jit
+def begin_at_tool(plane, pose):
+    """Take ground perpendicular to the tool in place of slopes of a wrong beam."""
+    axis = to_world(pose, 0, 0.0, 0.0, 1.0)
+    if axis[2] > 0.0:
+        plane.slope_x, plane.slope_y = -axis[0] / axis[2], -axis[1] / axis[2]
+        shift_slopes(plane, 0.0, 0.0)  # within their limits
 
 
 @jit
