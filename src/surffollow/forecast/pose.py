@@ -5,6 +5,7 @@ A pose is seven numbers, x y z [m] and a unit quaternion qx qy qz qw.
 
 import math
 
+from surffollow.forecast import elementary
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, LONG_GAP_NS, MAX_GAP_NS
 from surffollow.forecast.sensing.clock import scale_duration
 from surffollow.shm.jit import jit, jit_inlined
@@ -54,7 +55,7 @@ def rotation_between(u, v):
     sine = math.sqrt(x * x + y * y + z * z)
     if not sine > 1e-12:
         return (0.0, 0.0, 0.0), 0.0
-    angle = math.atan2(sine, u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
+    angle = elementary.angle(sine, u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
     return (x * angle / sine, y * angle / sine, z * angle / sine), angle
 
 
@@ -182,7 +183,7 @@ def pose_at(sense, t_ns, out):
     for i in range(3, 7):
         out[i] = sense.pose[a * 7 + i] * (1.0 - w) + sign * sense.pose[b * 7 + i] * w
         norm2 += out[i] * out[i]
-    scale = 1.0 / norm2**0.5
+    scale = 1.0 / math.sqrt(norm2)
     for i in range(3, 7):
         out[i] *= scale
 

@@ -6,6 +6,7 @@ A single reading therefore cannot make the demanded rotation jump.
 
 import math
 
+from surffollow.forecast import elementary
 from surffollow.forecast.attitude.rotation_response import tested_direction
 from surffollow.forecast.plant.controller_clock import mean_wait_s
 from surffollow.forecast.pose import newest_pose, rotation_between, to_world
@@ -32,7 +33,7 @@ def predicted_normal(params, adaptive):
     age_ns = min(max(adaptive.clock.now_ns - plane.t_ns, 0), MAX_GAP_NS)
     ahead = age_ns * 1e-9 + mean_wait_s(params, adaptive.controller) + adaptive.plant.tau_s
     sx, sy = plane.slope_x + plane.slope_rate_x_hz * ahead, plane.slope_y + plane.slope_rate_y_hz * ahead
-    slope, steepest = math.hypot(sx, sy), math.tan(params.max_tilt_rad)
+    slope, steepest = elementary.hypot(sx, sy), elementary.tan(params.max_tilt_rad)
     factor = steepest / slope if slope > steepest else 1.0
     return normal_of(factor * sx, factor * sy)
 

@@ -4,8 +4,7 @@ Three accepted beams or more update both slopes, two the slope along their line.
 beam, the track that the reference beam draws on the ground updates the slope along it.
 """
 
-import math
-
+from surffollow.forecast import elementary
 from surffollow.forecast.attitude import beam_detection, plane_regression
 from surffollow.forecast.pose import to_world
 from surffollow.forecast.quantities import APART_M, MAX_GAP_NS, MAX_SLOPE, tolerated_gap_s
@@ -136,7 +135,7 @@ def follow_track(adaptive, dt):
     begins = plane.track_beam != c or dt == 0.0
     plane.track_beam = c
     # a memory of 15 mm
-    share = 1.0 if begins else 1.0 - math.exp(-adaptive.kinematics.speed_mps * dt / 0.015)
+    share = 1.0 if begins else 1.0 - elementary.exp(-adaptive.kinematics.speed_mps * dt / 0.015)
     for i in range(3):
         track[i] += share * (beams.footprint_m[3 * c + i] - track[i])
     dx, dy = beams.footprint_m[3 * c] - track[0], beams.footprint_m[3 * c + 1] - track[1]

@@ -3,8 +3,9 @@
 import math
 from typing import NamedTuple
 
+from surffollow.forecast import elementary
 from surffollow.forecast.estimation.noise import assumed_noise_m
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 
 
 class PlaneFit(NamedTuple):
@@ -46,6 +47,19 @@ def flat_height(beams, curvature, c):
     return beams.footprint_m[3 * c + 2] - curvature * half_squared_distance(beams, c)
 
 
+@jit_inlined
+def principal_axis(xx, xy, yy):
+    """Unit vector along which points of these moments of inertia are spread most; (1, 0) where none is."""
+    cosine, sine = xx - yy, 2.0 * xy  # of twice its angle, times their length
+    length = elementary.hypot(cosine, sine)
+    if not length > 0.0:
+        return 1.0, 0.0
+    longer = math.sqrt(0.5 + 0.5 * abs(cosine) / length)
+    shorter = 0.5 * abs(sine) / (length * longer)
+    x, y = (longer, shorter) if cosine > 0.0 else (shorter, longer)
+    return x, math.copysign(y, sine)
+
+
 @jit
 def fit_plane(adaptive, weights, n_channels, without=-1):
     """Weighted least squares of a plane, along the principal axes of the footprints.
@@ -75,8 +89,7 @@ def fit_plane(adaptive, weights, n_channels, without=-1):
         dh = flat_height(beams, plane.curvature, c) - mh - plane.slope_x * dx - plane.slope_y * dy
         xx, xy, yy = xx + w * dx * dx, xy + w * dx * dy, yy + w * dy * dy
         xh, yh, hh = xh + w * dx * dh, yh + w * dy * dh, hh + w * dh * dh
-    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    ux, uy = math.cos(angle), math.sin(angle)
+    ux, uy = principal_axis(xx, xy, yy)
     major = xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy
     minor = xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux
     along, across = (xh * ux + yh * uy) / major, (yh * ux - xh * uy) / minor

@@ -10,6 +10,7 @@ until the deviation changes.
 
 import math
 
+from surffollow.forecast import elementary
 from surffollow.forecast.attitude.beam_times import is_recent
 from surffollow.forecast.attitude.plane_fit import slope_gain
 from surffollow.forecast.estimation.noise import assumed_noise_m
@@ -109,7 +110,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     # with one blocked beam of three the deviation grows by a third of the rotation
     answer = band if rotation.phase == ROTATION_RUN else max(TEST_BAND_FACTOR * band, 0.5 * back)
     answers = rotation.phase == ROTATION_RUN or back > 0.5 * least
-    if answers and math.hypot(mean[0] - run[0], mean[1] - run[1]) > answer:
+    if answers and elementary.hypot(mean[0] - run[0], mean[1] - run[1]) > answer:
         _begin_run(rotation, t_ns, axis)
         return
     if rotation.phase == ROTATION_RUN:
@@ -118,7 +119,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
             part = 1.0 / rotation.samples
             run[0], run[1] = run[0] + part * (mean[0] - run[0]), run[1] + part * (mean[1] - run[1])
         rate = turn / max((t_ns - rotation.run_ns) * 1e-9, dt)
-        deviation = math.hypot(run[0], run[1])
+        deviation = elementary.hypot(run[0], run[1])
         wrong = is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
         far = turn > 0.3 * params.max_tilt_rad  # beyond, a constant deviation is always tested
         if rotation.samples * share > MIN_MEANS and turn > probe and (wrong or far):

@@ -2,6 +2,7 @@
 
 import math
 
+from surffollow.forecast import elementary
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights, noise, setpoint_lead
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
@@ -185,7 +186,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     model_bank.update_bank(bank, h_m, r)
     blend_models(adaptive)
     innovation_gate.note_remainder(params, adaptive, h_m - estimate.height_m)
-    share = 1.0 - math.exp(-stretch * way / 1.0)  # a mean over a metre
+    share = 1.0 - elementary.exp(-stretch * way / 1.0)  # a mean over a metre
     estimate.slope_power += share * (estimate.slope * estimate.slope - estimate.slope_power)
     quick = bank.slope[model_bank.QUICK]
     estimate.quick_slope_power += share * (quick * quick - estimate.quick_slope_power)

@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.forecast import elementary
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import CURVES, N_MODELS, WAVES
 
-BAND = 2.0**0.25  # a wave number stays within this factor: waves are half an octave apart
+BAND = math.sqrt(math.sqrt(2.0))  # a wave number stays within this factor: waves are half an octave apart
 # rows of scale, noise of slope, curvature or a wave's amplitude, noise of height
 # slopes that decay over 1 km do not decay
 BANK: Any = np.array(
@@ -29,7 +30,7 @@ BANK: Any = np.array(
     + [(1e3, qs, 1e-5) for qs in (0.01, 0.05, 0.5, 2.0)]
     + [(length_m, qs, 1e-3) for length_m, qs in ((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))]
     + [(0.3, qc, 1e-5) for qc in (3.0, 20.0, 150.0)]
-    + [(2.0 * math.pi / length_m, 1e-3, 2e-4) for length_m in 0.6 * BAND ** (-2.0 * np.arange(8))]
+    + [(2.0 * math.pi / m * 2**k, 1e-3, 2e-4) for k in range(4) for m in (0.6, 0.6 * math.sqrt(0.5))]
 )
 assert len(BANK) == N_MODELS
 QUICK = 4  # a slope that follows the ground within a few millimetres, with little noise
@@ -62,28 +63,22 @@ def reset_bank(bank, h_m, variance_m2):
 def compute_transition(bank, d_m):
     """Compute the transition F of all models over a distance d ≥ 0 [m].
 
-    F = [[1, f01, f02], [0, f11, f12], [0, f21, f22]]. Models of one scale follow each other: an
-    exponential is computed once. Loops without calls vectorise.
+    F = [[1, f01, f02], [0, f11, f12], [0, f21, f22]].
     """
-    e = 1.0
-    for i in range(WAVES):
-        if i == 0 or SCALE[i] != SCALE[i - 1]:
-            e = math.exp(-d_m / SCALE[i])
-        bank.f22[i] = e
-    for i in range(WAVES, N_MODELS):
-        bank.f22[i], bank.f21[i] = math.cos(bank.wave_number[i] * d_m), math.sin(bank.wave_number[i] * d_m)
     for i in range(CURVES):
-        e = bank.f22[i]
+        e = elementary.exp(-d_m / SCALE[i])
         bank.f01[i], bank.f02[i] = SCALE[i] * (1.0 - e), 0.0
-        bank.f11[i], bank.f12[i], bank.f21[i] = e, 0.0, 0.0
+        bank.f11[i], bank.f12[i], bank.f21[i], bank.f22[i] = e, 0.0, 0.0, e
     for i in range(CURVES, WAVES):
-        g = SCALE[i] * (1.0 - bank.f22[i])
+        e = elementary.exp(-d_m / SCALE[i])
+        g = SCALE[i] * (1.0 - e)
         bank.f01[i], bank.f02[i] = d_m, SCALE[i] * (d_m - g)
-        bank.f11[i], bank.f12[i], bank.f21[i] = 1.0, g, 0.0
+        bank.f11[i], bank.f12[i], bank.f21[i], bank.f22[i] = 1.0, g, 0.0, e
     for i in range(WAVES, N_MODELS):
-        w, cs, sn = bank.wave_number[i], bank.f22[i], bank.f21[i]
+        w = bank.wave_number[i]
+        sn, cs = elementary.sin_cos(w * d_m)
         bank.f01[i], bank.f02[i] = sn / w, (1.0 - cs) / (w * w)
-        bank.f11[i], bank.f12[i], bank.f21[i] = cs, sn / w, -w * sn
+        bank.f11[i], bank.f12[i], bank.f21[i], bank.f22[i] = cs, sn / w, -w * sn, cs
 
 
 @jit_inlined

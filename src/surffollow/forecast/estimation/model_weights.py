@@ -7,6 +7,7 @@ subtracted, and penalties for effort and chance are added.
 
 import math
 
+from surffollow.forecast import elementary
 from surffollow.forecast.estimation import model_bank, setpoint_lead
 from surffollow.forecast.quantities import FULL_POWER_SAMPLES
 from surffollow.forecast.sensing.kinematics import path_speed
@@ -40,8 +41,8 @@ def update_index(params, adaptive, travel_m, dt_s, target_m):
     if weights.scored < FULL_POWER_SAMPLES:
         samples = min(samples, weights.scored)
     burn_in_rate = 1.0 / (1.0 + samples)
-    f = max(1.0 - math.exp(-rate), burn_in_rate)
-    g = max(1.0 - math.exp(-rate / params.long_factor), burn_in_rate)
+    f = max(1.0 - elementary.exp(-rate), burn_in_rate)
+    g = max(1.0 - elementary.exp(-rate / params.long_factor), burn_in_rate)
     position_m, left_out = adaptive.shadow.position_m, adaptive.lead.left_out
     for i in range(N_MODELS):
         without_lead_m = position_m[N_MODELS + i] if i < WAVES else position_m[i]
@@ -84,11 +85,11 @@ def compute_costs(params, adaptive):
     floor = params.score_floor_m * params.score_floor_m
     spacing_m = path_speed(adaptive.kinematics) * adaptive.prediction.interval_s
     for i in range(N_MODELS):
-        c = p_j * math.log(weights.recent_m2[i] - noise_j + floor)
-        c += p_l * math.log(weights.longer_m2[i] - noise_l + floor)
+        c = p_j * elementary.log(weights.recent_m2[i] - noise_j + floor)
+        c += p_l * elementary.log(weights.longer_m2[i] - noise_l + floor)
         # a wave fits part of any noise for a while, a curve a smaller part
         chance = 8.0 if i >= WAVES else 1.0 if i >= CURVES else 0.0
-        c += p_e * math.log(shadow.effort[i] + 1.0) + s * s * chance  # effort in (1 m/s²)²
+        c += p_e * elementary.log(shadow.effort[i] + 1.0) + s * s * chance  # effort in (1 m/s²)²
         # phase of a wave between two samples: from π on it is an alias of a longer one
         is_alias = i >= WAVES and model_bank.SCALE[i] * spacing_m > 2.0 * math.pi / 3.0
         weights.cost[i] = math.inf if is_alias else c
@@ -107,12 +108,13 @@ def update_weights(params, adaptive, dt_s):
     compute_costs(params, adaptive)
     least, total = weights.cost.min(), 0.0
     for i in range(N_MODELS):
-        weights.cost[i] = math.exp(least - weights.cost[i])
+        weights.cost[i] = elementary.exp(least - weights.cost[i])
+    for i in range(N_MODELS):  # sums in their order do not vectorise
         total += weights.cost[i]
     alpha = weights.scored / FULL_POWER_SAMPLES
-    rate = 1.0 - math.exp(-dt_s / (0.02 * alpha))  # quicker while little was scored
+    rate = 1.0 - elementary.exp(-dt_s / (0.02 * alpha))  # quicker while little was scored
     for i in range(N_MODELS):
-        weights.weight[i] += rate * (weights.cost[i] / total - weights.weight[i])
+        weights.weight[i] += rate / total * weights.cost[i] - rate * weights.weight[i]
     weights.waiting_s = 0.0
 
 

@@ -1,5 +1,6 @@
 """The paper's forecast: slope, extrapolation, hysteresis (§3.2.4), on top of intervals and ranges."""
 
+from surffollow.forecast import elementary
 from surffollow.forecast.paper.intervals import add_point, cut_ranges, range_slope
 from surffollow.forecast.pose import newest_pose
 from surffollow.shm.jit import jit_inlined
@@ -73,7 +74,7 @@ def measure_speed(params, paper, sense):
     x_m, y_m = paper.mean_m[0], paper.mean_m[1]
     if paper.speed_pose > 0 and t_ns > paper.speed_t_ns:
         dx, dy = x_m - paper.speed_x_m, y_m - paper.speed_y_m
-        paper.speed_mps = (dx * dx + dy * dy) ** 0.5 / ((t_ns - paper.speed_t_ns) * 1e-9)
+        paper.speed_mps = elementary.hypot(dx, dy) / ((t_ns - paper.speed_t_ns) * 1e-9)
     paper.speed_x_m, paper.speed_y_m, paper.speed_t_ns = x_m, y_m, t_ns
     paper.speed_pose = sense.pose_count
 
@@ -113,7 +114,7 @@ def distance_since_reading(params, paper, sense, t_ns):
     slot = newest_pose(sense)
     dx, dy = sense.pose[7 * slot] - paper.reading_x_m, sense.pose[7 * slot + 1] - paper.reading_y_m
     ux, uy = paper.reading_x_m - paper.before_x_m, paper.reading_y_m - paper.before_y_m
-    heading_m = (ux * ux + uy * uy) ** 0.5
+    heading_m = elementary.hypot(ux, uy)
     along_m = (dx * ux + dy * uy) / heading_m if heading_m > 0.0 else 0.0
     return along_m + paper.speed_mps * ((t_ns - sense.pose_t_ns[slot]) * 1e-9) + params.interval_size_m
 

@@ -6,6 +6,7 @@ before. Only the newest interval's height still changes, so all else about the
 two ranges is summed once, when an interval opens.
 """
 
+from surffollow.forecast import elementary
 from surffollow.shm.jit import jit_inlined
 from surffollow.shm.layout_follow import INTERVALS
 
@@ -52,7 +53,7 @@ def add_point(paper, x_m, y_m, h_m, interval_size_m):
     slot = (paper.interval_count - 1) & (INTERVALS - 1)
     cx, cy, ch = paper.interval_x_m[slot], paper.interval_y_m[slot], paper.interval_h_m[slot]
     dx, dy = x_m - cx, y_m - cy
-    distance = (dx * dx + dy * dy) ** 0.5
+    distance = elementary.hypot(dx, dy)
     opened = 0
     if distance > 2.0 * interval_size_m:
         steps = distance / interval_size_m
@@ -94,7 +95,7 @@ def cut_ranges(paper, range_size):
             rest += paper.interval_h_m[a]
         dx, dy = paper.interval_x_m[b] - paper.interval_x_m[a], paper.interval_y_m[b] - paper.interval_y_m[a]
         # this piece lies between so many pairs of counterparts
-        run += min(k + 1, 2 * range_size - 1 - k) * (dx * dx + dy * dy) ** 0.5
+        run += min(k + 1, 2 * range_size - 1 - k) * elementary.hypot(dx, dy)
     paper.rest_h_m = rest
     paper.range_prev_h_m, paper.range_gap_m = prev / range_size, run / range_size
 

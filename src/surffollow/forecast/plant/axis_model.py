@@ -2,7 +2,7 @@
 
 import math
 
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_inlined
 
 # of an axis model: beyond, another controller leads the robot; of a height between two reports
 MAX_MODEL_ERROR_M = 5e-4
@@ -18,15 +18,15 @@ def is_long(time, tau):
     return time > LONG_TAUS * tau
 
 
-@jit
+@jit_inlined
 def axis_velocity(distance_m, tau_s, a_max_mps2):
     """Velocity at which the axis approaches its setpoint: proportional, then square root [m/s]."""
     d, linear = abs(distance_m), a_max_mps2 * tau_s * tau_s
-    speed_mps = math.sqrt(2.0 * a_max_mps2 * (d - 0.5 * linear)) if d > linear else d / tau_s
+    speed_mps = math.sqrt(2.0 * a_max_mps2 * (d - 0.5 * linear)) if d > linear else d * (1.0 / tau_s)
     return math.copysign(speed_mps, distance_m)
 
 
-@jit
+@jit_inlined
 def step_axis(tau_s, v_max_mps, a_max_mps2, z_m, v_mps, target_m, dt_s):
     """Position and velocity of the axis after a time step toward its setpoint [m, m/s].
 
@@ -39,7 +39,7 @@ def step_axis(tau_s, v_max_mps, a_max_mps2, z_m, v_mps, target_m, dt_s):
     dt_s : float64        length of the step [s], > 0
     """
     d = target_m - z_m
-    limit = min(v_max_mps, abs(d) / dt_s)
+    limit = min(v_max_mps, abs(d) * (1.0 / dt_s))
     w = min(max(axis_velocity(d, tau_s, a_max_mps2), -limit), limit)
     dv = a_max_mps2 * dt_s
     v_mps += min(max(w - v_mps, -dv), dv)

@@ -11,6 +11,7 @@ axis it is not known yet, and τ is not learned.
 
 import math
 
+from surffollow.forecast import elementary
 from surffollow.forecast.estimation.noise import MIN_NOISE_M, range_noise_m
 from surffollow.forecast.modes import learns
 from surffollow.forecast.plant import axis_model, controller_clock
@@ -186,7 +187,7 @@ def update_plant(params, adaptive, sense, inputs):
         plant.error_m2[k] += SLOW_RATE * (e * e - plant.error_m2[k])
     tau = best_time_constant(plant)
     if tau > 0.0:
-        plant.tau_s *= math.exp(QUICK_RATE * math.log(tau / plant.tau_s))
+        plant.tau_s *= elementary.exp(QUICK_RATE * elementary.log(tau / plant.tau_s))
 
 
 @jit

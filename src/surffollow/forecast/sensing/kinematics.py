@@ -1,7 +1,6 @@
 """Velocity of the tool and its pose at a given time."""
 
-import math
-
+from surffollow.forecast import elementary
 from surffollow.forecast.pose import newest_pose, newest_until
 from surffollow.forecast.quantities import (
     APART_M,
@@ -67,11 +66,11 @@ def note_jump(params, kinematics, sense):
     vx, vy, vz, dt = velocity_between(sense, last - 1, last)
     if not 0.0 < dt <= PAUSE_NS * 1e-9:
         return False
-    aside = math.hypot(vx - kinematics.velocity_x_mps, vy - kinematics.velocity_y_mps) * dt
+    aside = elementary.hypot(vx - kinematics.velocity_x_mps, vy - kinematics.velocity_y_mps) * dt
     if last > 1:
         before_x, before_y, _, before_s = velocity_between(sense, last - 2, last - 1)
         if 0.0 < before_s <= PAUSE_NS * 1e-9:
-            aside = min(aside, math.hypot(vx - before_x, vy - before_y) * dt)
+            aside = min(aside, elementary.hypot(vx - before_x, vy - before_y) * dt)
     up = abs(vz - kinematics.climb_mps) * dt
     most_aside = max(0.02, params.gate_scales * kinematics.scatter_m)  # 20 mm aside are no jump
     most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, params.gate_scales * kinematics.climb_scatter_m)
@@ -120,12 +119,12 @@ def travel_velocity(kinematics, sense):
     """
     last, jump_ns, noise_m = sense.pose_count - 1, kinematics.jump_ns, WAY_SCATTERS * kinematics.noise_m
     short_x, short_y, _, dt = velocity_between(sense, oldest_pose_within(sense, PAUSE_NS, jump_ns), last)
-    if math.hypot(short_x, short_y) * dt >= 2.0 * noise_m:
+    if elementary.hypot(short_x, short_y) * dt >= 2.0 * noise_m:
         return short_x, short_y
     first = oldest_pose_within(sense, 3 * PAUSE_NS, jump_ns)
     vx, vy, _, long_s = velocity_between(sense, first, last)
-    speed = math.hypot(vx, vy)
-    if speed * dt >= noise_m and math.hypot(short_x, short_y) * dt >= 0.5 * noise_m:
+    speed = elementary.hypot(vx, vy)
+    if speed * dt >= noise_m and elementary.hypot(short_x, short_y) * dt >= 0.5 * noise_m:
         return short_x, short_y
     # it starts with twice the way with which it stops
     least_m = 2.0 * noise_m if is_at_rest(kinematics) else noise_m
@@ -151,7 +150,7 @@ def update_kinematics(params, kinematics, sense, begins):
     vx, vy = travel_velocity(kinematics, sense)
     # it starts at twice the speed at which it stops: the path does not change again and again
     least_mps = MIN_DIRECTION_SPEED_MPS * (1.0 if is_at_rest(kinematics) else 0.5)
-    kinematics.speed_mps = math.hypot(vx, vy)
+    kinematics.speed_mps = elementary.hypot(vx, vy)
     if kinematics.speed_mps < least_mps:
         kinematics.speed_mps = vx = vy = 0.0
     kinematics.velocity_x_mps, kinematics.velocity_y_mps = vx, vy

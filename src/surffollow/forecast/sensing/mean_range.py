@@ -1,5 +1,7 @@
 """Mean of the newest ranges, the band within which noise alone keeps it, and errors that are no lag."""
 
+import math
+
 from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.shm.jit import jit
 
@@ -21,7 +23,7 @@ def mean_samples(adaptive):
 @jit
 def mean_band_m(sigma_m, number):
     """Change of a mean of `number` ranges of standard deviation σ that noise explains [m]."""
-    return BAND_SIGMAS * sigma_m / number**0.5
+    return BAND_SIGMAS * sigma_m / math.sqrt(number)
 
 
 @jit

@@ -3,9 +3,7 @@
 range → pose at the range's timestamp → footprint → latency, health, plane fit → innovation gate, bank
 """
 
-import math
-
-from surffollow.forecast import fold_back
+from surffollow.forecast import elementary, fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
 from surffollow.forecast.estimation import estimate, innovation_gate
 from surffollow.forecast.modes import orients
@@ -169,7 +167,7 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
     travel = motion.speed_mps * (t_ns - adaptive.estimate.sample_ns) * 1e-9 if known else 0.0
     # the tool of a slow sensor may have turned since the sample before
     if known and innovation_gate.is_slow(adaptive) and not spans_jump(adaptive):
-        travel = math.hypot(x_m - sample.x_m, y_m - sample.y_m)
+        travel = elementary.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
     sample.spacing_m = follow_usual(sample.spacing_m, travel)
     sample.x_m, sample.y_m = x_m, y_m
@@ -221,7 +219,7 @@ def follow_heading(adaptive, x_m, y_m):
     along = way_x * sample.heading_x + way_y * sample.heading_y
     known = adaptive.estimate.samples > 0  # a first sample has no footprint before it
     if known and innovation_gate.is_slow(adaptive):
-        way = math.hypot(way_x, way_y)
+        way = elementary.hypot(way_x, way_y)
         least_m = kinematics.MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s
         if way <= least_m or spans_jump(adaptive):
             return

@@ -12,6 +12,7 @@ Over a slope, where the range returns to no mean, it is 0.
 
 import math
 
+from surffollow.forecast import elementary
 from surffollow.forecast.quantities import MEAN_TO_SIGMA, follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 
@@ -32,8 +33,8 @@ def time_constants_s(prediction):
 def forecast_parts(prediction, horizon_s):
     """Range at a horizon by the trend alone, and the whole return from the level by then [m]."""
     _, decay_s = time_constants_s(prediction)
-    lasts_s = decay_s * (1.0 - math.exp(-horizon_s / decay_s))  # integral of a damped unit rate
-    share = 1.0 - math.exp(-(horizon_s - lasts_s) / decay_s)
+    lasts_s = decay_s * (1.0 - elementary.exp(-horizon_s / decay_s))  # integral of a damped unit rate
+    share = 1.0 - elementary.exp(-(horizon_s - lasts_s) / decay_s)
     by_trend_m = prediction.level_m + prediction.trend_mps * lasts_s
     return by_trend_m, share * (prediction.mean_m - prediction.level_m)
 
@@ -73,12 +74,13 @@ def update_mean(prediction, dt):
     unit_s, decay_s = time_constants_s(prediction)
     longest_s = 1000.0 * unit_s  # a mean is over so long
     prediction.mean_s = min(prediction.mean_s + dt, longest_s)
-    prediction.mean_m += (1.0 - math.exp(-dt / prediction.mean_s)) * (prediction.level_m - prediction.mean_m)
+    share = 1.0 - elementary.exp(-dt / prediction.mean_s)
+    prediction.mean_m += share * (prediction.level_m - prediction.mean_m)
     if prediction.check_ns != 0:
         since_s = (prediction.t_ns - prediction.check_ns) * 1e-9
         if since_s < decay_s:
             return
-        weight, return_m = 1.0 - math.exp(-since_s / longest_s), prediction.return_m
+        weight, return_m = 1.0 - elementary.exp(-since_s / longest_s), prediction.return_m
         missed_m = prediction.level_m - prediction.by_trend_m
         prediction.missed_m2 += weight * (missed_m * return_m - prediction.missed_m2)
         prediction.return_m2 += weight * (return_m**2 - prediction.return_m2)
@@ -107,11 +109,11 @@ def update_prediction(params, prediction, t_ns, range_m):
     prediction.rejected = 0
     prediction.scale_m = follow_usual(prediction.scale_m, MEAN_TO_SIGMA * abs(innovation))
     if not outlier:
-        expected_m += (1.0 - math.exp(-dt / (0.45 * unit_s))) * innovation
+        expected_m += (1.0 - elementary.exp(-dt / (0.45 * unit_s))) * innovation
     rate_mps = (expected_m - prediction.level_m) / dt
     back_mps = return_gain(prediction) * (prediction.mean_m - prediction.level_m) / decay_s
-    prediction.trend_mps = back_mps + math.exp(-dt / decay_s) * (prediction.trend_mps - back_mps)
-    prediction.trend_mps += (1.0 - math.exp(-dt / (2.5 * unit_s))) * (rate_mps - prediction.trend_mps)
+    prediction.trend_mps = back_mps + elementary.exp(-dt / decay_s) * (prediction.trend_mps - back_mps)
+    prediction.trend_mps += (1.0 - elementary.exp(-dt / (2.5 * unit_s))) * (rate_mps - prediction.trend_mps)
     prediction.level_m, prediction.t_ns = range_m if outlier else expected_m, t_ns
     if outlier:
         begin_mean(prediction, range_m)

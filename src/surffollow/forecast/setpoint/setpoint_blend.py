@@ -2,7 +2,7 @@
 
 import math
 
-from surffollow.forecast import quantities
+from surffollow.forecast import elementary, quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
 from surffollow.forecast.estimation.pending_samples import nearer_wait
 from surffollow.forecast.plant import controller_clock, shadow_axes
@@ -111,7 +111,7 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
     lead_length_m = speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(speed_mps * dropout, max(ahead_m, 0.0))
-        decay = math.exp(-dropout_m / params.dropout_travel_m)
+        decay = elementary.exp(-dropout_m / params.dropout_travel_m)
         ahead_m += params.dropout_travel_m * (1.0 - decay) - dropout_m
         lead_length_m *= decay
     if turned:  # along the way of the newest sample

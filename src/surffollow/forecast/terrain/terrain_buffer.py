@@ -5,6 +5,7 @@ After a turn the path leads elsewhere; cells that do not lie on it are ignored.
 
 import math
 
+from surffollow.forecast import elementary
 from surffollow.forecast.quantities import APART_M
 from surffollow.forecast.sensing.kinematics import is_at_rest
 from surffollow.shm.jit import jit
@@ -38,7 +39,7 @@ def is_off_path(adaptive, c):
     buffer, s_m = adaptive.buffer, adaptive.buffer.arc_length_m[c]
     x, y = point_at(adaptive, s_m)
     tolerance = max(APART_M, 0.2 * abs(s_m - adaptive.estimate.arc_length_m))
-    return math.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y) > tolerance
+    return elementary.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y) > tolerance
 
 
 @jit
@@ -126,7 +127,7 @@ def height_at(adaptive, s_m):
     buffer, nearest_m, height_m = adaptive.buffer, APART_M, math.nan
     x, y = point_at(adaptive, s_m)
     for c in range(BUFFER_CELLS):
-        away_m = math.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y)
+        away_m = elementary.hypot(buffer.x_m[c] - x, buffer.y_m[c] - y)
         if buffer.cell[c] != 0 and away_m < nearest_m:
             nearest_m, height_m = away_m, buffer.height_m[c]
     return height_m
