@@ -37,6 +37,7 @@ OWNERS = {
     "pending": "pending_samples",
     "gate": "innovation_gate",
     "bank": "model_bank",
+    "earlier": "earlier_bank",
     "shadow": "shadow_axes",
     "weights": "model_weights",
     "lead": "setpoint_lead",

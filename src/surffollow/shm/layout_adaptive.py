@@ -12,6 +12,7 @@ from surffollow.shm.layout_adaptive_estimation import (
     N_PERIODS,
     Bank,
     Buffer,
+    EarlierBank,
     Estimate,
     Gate,
     Lead,
@@ -185,6 +186,7 @@ class AdaptiveState(Schema):
     pending = Nested(Pending)
     gate = Nested(Gate)
     bank = Nested(Bank)
+    earlier = Nested(EarlierBank)
     shadow = Nested(Shadow)
     weights = Nested(Weights)
     lead = Nested(Lead)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from surffollow.shm.schema import F64, I64, Schema
+from surffollow.shm.schema import F64, I64, Nested, Schema
 
 # models of the bank: levels and slopes, from number CURVES on curves, from WAVES on waves; waves lead fully
 N_MODELS, CURVES, WAVES = 20, 9, 12
@@ -82,6 +82,13 @@ class Bank(Schema):
     rise_m = F64(N_MODELS, unit="m", doc="change of height up to the point ahead")
     slope_ahead = F64(N_MODELS, doc="slope there")
     bend_ahead = F64(N_MODELS, unit="1/m", doc="dθ/ds there")
+
+
+class EarlierBank(Schema):
+    """The bank without its newest sample (`earlier_bank`)."""
+
+    kept = I64(doc="1: the newest sample is that of a slow sensor, and may be taken back")
+    bank = Nested(Bank)
 
 
 class Shadow(Schema):

@@ -3,7 +3,14 @@
 import math
 
 from surffollow.forecast import elementary
-from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights, noise, setpoint_lead
+from surffollow.forecast.estimation import (
+    earlier_bank,
+    innovation_gate,
+    model_bank,
+    model_weights,
+    noise,
+    setpoint_lead,
+)
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
@@ -61,6 +68,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh):
     if fresh or adapts(params, adaptive):
         model_weights.update_weights(params, adaptive, math.inf)  # without their filter
     innovation_gate.reset_gate(gate, adaptive.pending, fresh)
+    earlier_bank.drop_bank(adaptive.earlier)
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:
         estimate.confirmed_ns = estimate.in_frame_ns = t_ns
@@ -96,6 +104,7 @@ def change_path(adaptive, rests):
     """
     estimate = adaptive.estimate
     estimate.rests = 1 if rests else 0
+    earlier_bank.drop_bank(adaptive.earlier)
     if rests:
         estimate.kept_slope, estimate.kept_slope_power = estimate.slope, estimate.slope_power
         estimate.slope = estimate.slope_power = 0.0
@@ -110,6 +119,7 @@ def change_path(adaptive, rests):
 def turn_estimate(adaptive, cosine):
     """Turn the direction of travel by an angle of this cosine; −1: the tool goes back."""
     model_bank.turn_bank(adaptive.bank, cosine)
+    model_bank.turn_bank(adaptive.earlier.bank, cosine)
     adaptive.estimate.slope *= cosine
     adaptive.estimate.kept_slope *= cosine
 
@@ -156,6 +166,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     # what a slow sensor sees of ground that moves is too little to follow it
     stretch = 1.0 if innovation_gate.is_slow(adaptive) else moved_m / way
     model_bank.propagate_bank(bank, way, moved_m, stretch)
+    earlier_bank.take_back(params, adaptive, h_m, travel, way, moved_m, stretch)
     estimate.height_m = model_weights.blended(adaptive, bank.height_m)
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
@@ -180,6 +191,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
         if comparable and over_ns > estimate.settle_ns:
             model_weights.update_index(params, adaptive, way, dt, h_m + standoff_m)
         noise.update_noise(adaptive, h_m)
+    earlier_bank.keep_bank(adaptive)
     r = noise.assumed_noise_m(adaptive.noise) ** 2
     if adapt:
         model_bank.adapt_waves(bank, h_m, r, way)

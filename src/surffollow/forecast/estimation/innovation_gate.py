@@ -175,6 +175,12 @@ def gate_width(params, adaptive):
 
 
 @jit
+def is_outlier(params, adaptive, innovation_m, travel_m):
+    """Whether a sample with this innovation, so far behind the one before, lies beyond the inner gate."""
+    return abs(innovation_m) > INNER_GATE * max(gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m)
+
+
+@jit
 def is_slow(adaptive):
     """Whether the sensor's interval is long for the axis: a second sample comes late."""
     return is_long(adaptive.prediction.interval_s, adaptive.plant.tau_s)

@@ -108,10 +108,15 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
 
 
 @jit
-def nearer_wait(pending):
-    """Whether several samples in a row wait, and lie nearer than the estimate: it may be wrong."""
+def nearer_wait(adaptive):
+    """Whether several samples in a row wait, one of a slow sensor, and lie nearer than the estimate.
+
+    It may be wrong then.
+    """
+    pending = adaptive.pending
     nearer = pending.samples > 0 and pending.innovation_m > 0.0
-    return nearer and pending.samples + pending.rejected >= CONFIRMATION_SAMPLES
+    slow = is_long(adaptive.prediction.interval_s, adaptive.plant.tau_s)
+    return nearer and (slow or pending.samples + pending.rejected >= CONFIRMATION_SAMPLES)
 
 
 @jit

@@ -185,7 +185,7 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS) > 0.0
     few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
-    uncertain = stuck or hardly_known or nearer_wait(adaptive.pending)
+    uncertain = stuck or hardly_known or nearer_wait(adaptive)
     no_descent = tool_z_m if uncertain else -math.inf
     wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
     lowest, highest = setpoint_range(adaptive, wait_s)
