@@ -62,7 +62,9 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "powers without sharpness": [("model_weights", "(s * s * alpha * alpha)", "1.0")],
     "chance penalty": [("model_weights", "s * s * chance", "0.0")],
     "part of the lead left out": [("setpoint_lead", "lead.left_out[i] = 1.0", "lead.left_out[i] = 0.0")],
-    "filter of the weights": [("model_weights", "rate = 1.0 - math.exp(", "rate = 1.0 - 0.0 * math.exp(")],
+    "filter of the weights": [
+        ("model_weights", "rate = 1.0 - elementary.exp(", "rate = 1.0 - 0.0 * elementary.exp(")
+    ],
     "effort power": [
         (
             "model_weights",
@@ -115,7 +117,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         )
     ],
     "curve models": [("model_bank", "for qc in (3.0, 20.0, 150.0)]", "for qc in (20.0, 20.0, 20.0)]")],
-    "wave models": [("model_bank", "for length_m in 0.6 *", "for length_m in 1e3 *")],
+    "wave models": [("model_bank", "for m in (0.6, 0.6 *", "for m in (1e3, 1e3 *")],
     "deadband": [
         (
             "setpoint_blend",
@@ -145,10 +147,18 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "levels but one": [("model_bank", "for qh in (3e-5, 1e-3)]", "for qh in (3e-4, 3e-4)]")],
     "longer horizon": [
-        ("model_weights", "c += p_l * math.log(weights.longer_m2", "c += 0.0 * math.log(weights.longer_m2")
+        (
+            "model_weights",
+            "c += p_l * elementary.log(weights.longer_m2",
+            "c += 0.0 * elementary.log(weights.longer_m2",
+        )
     ],
     "recent horizon": [
-        ("model_weights", "c = p_j * math.log(weights.recent_m2", "c = 0.0 * math.log(weights.recent_m2")
+        (
+            "model_weights",
+            "c = p_j * elementary.log(weights.recent_m2",
+            "c = 0.0 * elementary.log(weights.recent_m2",
+        )
     ],
     "noise subtracted from the index": [
         ("model_weights", "noise_j = params.noise_share", "noise_j = 0.0"),
@@ -162,7 +172,10 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         )
     ],
     "more samples in a burst": [("pending_samples", "int(0.25 * tau_s", "int(0.0 * tau_s")],
-    "wider gate of sparse samples": [("innovation_gate", "PLAUSIBLE_SLOPE * travel_m", "0.0 * travel_m")],
+    "wider gate of sparse samples": [
+        ("innovation_gate", "return PLAUSIBLE_SLOPE * travel_m", "return 0.0 * travel_m")
+    ],
+    "wrong samples taken back": [("earlier_bank", "1 if is_slow(adaptive) else 0", "0")],
     "confirmed drops of known ground": [
         ("known_ground", "(0.0 if late else adaptive.known.descent_m)", "0.0")
     ],

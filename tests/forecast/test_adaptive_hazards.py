@@ -113,6 +113,21 @@ def test_the_tool_does_not_descend_while_nearer_samples_wait(seed):
     assert shortfall_m(plain.clearance_m, ours.clearance_m) < BELOW_P_M
 
 
+@pytest.mark.parametrize(
+    ("family", "seed"),
+    [("turns", 1580021), ("sluggish axis of three", 1640052), ("sluggish axis of three", 1640075)],
+)
+def test_a_start_up_a_slope_does_not_look_like_a_height_with_the_wrong_sign(family, seed):
+    """GIVEN a tool that catches up with rising ground WHEN range plus height stays THEN it is not held.
+
+    The tool was held, lifted and lowered, once or twice, while the ground rose: 9 to 21 mm.
+    """
+    scenario = draw(family, seed)
+    ours = play(follower(KINDS[family].mounts_m), scenario)
+    plain = play(PLoop(scenario.interval_ms), scenario)
+    assert shortfall_m(plain.clearance_m, ours.clearance_m) < BELOW_P_M
+
+
 def test_a_slow_sensor_that_falls_silent_in_a_test_ends_the_demand():
     """GIVEN a blocked sensor of 20 Hz WHEN it is too near to see the ground THEN no contact while VALID.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import math
+import re
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -160,12 +161,15 @@ def undefined(code: bytes) -> set[str]:
     return found
 
 
-def test_the_machine_code_of_a_cycle_calls_no_mathematical_library() -> None:
+def test_the_machine_code_of_a_cycle_is_exact() -> None:
+    """GIVEN the compiled cycle THEN it calls no mathematical library, and fuses or estimates no operation."""
     Follower({"sensors": [{"near_m": 0.2, "far_m": 2.0}]}, offset_m=0.5).step(0, [0.5])
     kernel = step.follow_step
     assert kernel._wholes
     with global_compiler_lock:
         for args in kernel._wholes:
-            names = undefined(kernel._compile_whole(kernel.part(args)).library._get_compiled_object())
+            library = kernel._compile_whole(kernel.part(args)).library
+            assert not re.search(r"\tv?(fn?m(add|sub)|frecp|frsqr|rcp[ps]|rsqrt)", library.get_asm_str())
+            names = undefined(library._get_compiled_object())
             assert names
             assert not names & LIBRARY

@@ -35,6 +35,7 @@ class Kind:
     `interval_ms`: between readings, log-uniform. `factor`: of the speed from the middle on.
     `turn_s`: the tool turns back every so often. `push_mps`: velocity of wind or current beside the axis, of
     either sign, from the middle on. `heave_m`: amplitude of ground that moves up and down as a whole.
+    `lag`: time constant of the axis over the configured one.
     """
 
     size_m: tuple[float, float] = (0.0, 0.0)
@@ -52,6 +53,7 @@ class Kind:
     turn_s: tuple[float, float] | None = None
     push_mps: float = 0.0
     heave_m: float = 0.0
+    lag: tuple[float, float] = (1.0, 1.0)
 
 
 _FALL: dict[str, Any] = {"slope": (0.2, 1.0), "interval_ms": (READING_MS, 60), "levels": True}
@@ -114,6 +116,15 @@ KINDS = {
     "mostly lost": Kind((0.5, 0.95), (2.0, 2.0), slope=(0.0, 0.2), interval_ms=(READING_MS, 30)),
     "near outliers": Kind((5e-3, 40e-3), (2.0, 2.0), slope=(0.0, 0.2), interval_ms=(READING_MS, 60)),
     "far outliers": Kind((5e-3, 40e-3), (2.0, 2.0), slope=(0.0, 0.2), interval_ms=(READING_MS, 60)),
+    "sluggish axis": Kind(slope=(0.0, 0.4), interval_ms=(READING_MS, 60), lag=(1.0, 5.0)),
+    "sluggish axis of three": Kind(
+        slope=(0.0, 0.3), interval_ms=(READING_MS, 30), lag=(1.0, 5.0), mounts_m=THREE
+    ),
+    "quick axis": Kind(slope=(0.0, 0.4), interval_ms=(READING_MS, 60), lag=(0.2, 1.0)),
+    "controller pauses": Kind(length_s=(0.02, 0.4), slope=(0.0, 0.4), interval_ms=(READING_MS, 60)),
+    "old poses": Kind(
+        length_s=(2.0, 2.0), late_s=(0.0, 0.06), slope=(0.0, 0.4), interval_ms=(READING_MS, 60)
+    ),
 }
 OUTLIER_SHARE = 0.3  # of all readings
 HEAVE_S = (0.7, 3.0)  # period
@@ -125,10 +136,12 @@ FAMILIES = tuple(KINDS)
 @dataclass(frozen=True)
 class Scenario:
     """One hazard: readings (poses) wrong by `size_m` for `length_s`, or timestamps too old by `late_s`
-    (negative: in the future); "overtaking": readings that arrive up to `late_s` later.
+    (negative: in the future); "overtaking": readings that arrive up to `late_s` later; "old poses": poses
+    that come `late_s` late, with the timestamp of then. "controller pauses": no pose and no new demand.
 
     "gain": ranges too long by the share `size_m`; "mostly lost": the share of readings that are lost. The
     tool is pushed by `push_mps` from the middle on. The ground heaves by `heave_m` with the period `heave_s`.
+    The axis has `lag` times the time constant that the follower knows.
     """
 
     family: str
@@ -144,6 +157,7 @@ class Scenario:
     push_mps: float = 0.0
     heave_m: float = 0.0
     heave_s: float = 1.0
+    lag: float = 1.0
 
     def heave_at(self, t_s: float) -> float:
         """Height of the ground above that of its profile [m]."""
@@ -190,4 +204,5 @@ def draw(family: str, seed: int) -> Scenario:
         kind.push_mps * float(rng.uniform(-1.0, 1.0)),
         kind.heave_m * float(rng.random()),
         float(rng.uniform(*HEAVE_S)),
+        float(rng.uniform(*kind.lag)),
     )

@@ -162,11 +162,13 @@ def play(follower: Any, s: Scenario) -> Outcome:
             most_tilt = max(most_tilt, math.hypot(tilt[0], tilt[1]))
             if clearance <= 0.0 and not contact_valid:
                 contact, contact_valid = True, "VALID" in follower.state()["status"]
-        if ms % TICK_MS == 0:
+        old_ms = round(1e3 * s.late_s) if wrong and s.family == "old poses" else 0
+        talks = ms % TICK_MS == 0 and not (wrong and s.family == "controller pauses")
+        if talks:
             off = s.size_m if "jump" in s.family and wrong else 0.0
             up, off = (off, 0.0) if s.family == "height jump" else (0.0, off)
             z = float(axis[0]) + 0.05e-3 * float(rng.standard_normal())
-            poses.append((ms, (x + off, z + up), z, tilt.copy()))
+            poses.append((ms + old_ms, (x + off, z + up), z, tilt.copy()))
         if ms % s.interval_ms == 0:
             q = quaternion(tilt)
             r = np.array([true_range(ground, later, x, z_m, q, m) for m in kind.mounts_m])
@@ -179,7 +181,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
                     r[c] = misread(s, r[c], held[c], rng)
                 if s.family == "overtaking":
                     arrival += round(1e3 * s.late_s * rng.random())
-                else:
+                elif s.family != "old poses":
                     stamp = ms - round(1e3 * s.late_s)
                 wrong_n += 1
             r[~((r > NEAR_M) & (r < FAR_M))] = math.nan
@@ -192,11 +194,11 @@ def play(follower: Any, s: Scenario) -> Outcome:
         while readings and readings[0][0] <= ms:
             _, at, r = readings.pop(0)
             follower.step((1000 + at) * 1_000_000, r)
-        if ms % TICK_MS == 0:
+        if talks:
             demand = follower.step((1000 + ms) * 1_000_000, np.full(n, math.nan))
             target = setpoint_for(report, float(demand[2]))
             tilt_target = tilt_report + np.array([float(demand[3]), float(demand[4])])
-        axis_step(axis, target, PLANT.tau_s, PLANT.v_max_mps, PLANT.a_max_mps2, 1e-3)
+        axis_step(axis, target, s.lag * PLANT.tau_s, PLANT.v_max_mps, PLANT.a_max_mps2, 1e-3)
         axis[0] += s.push_mps * 1e-3 if t >= BEGIN_S else 0.0
         tilt += (tilt_target - tilt) * (1e-3 / PLANT.tau_s)
     return Outcome(float(least), contact, contact_valid, most_tilt)

@@ -88,7 +88,7 @@ def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
     exceeds u.
     """
     gate, samples = adaptive.gate, adaptive.estimate.samples
-    usual, sparse_m = gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m
+    usual, sparse_m = gate_width(params, adaptive), plausible_change_m(travel_m)
     plausible = sparse_m if samples >= CONFIRMATION_SAMPLES else steepest_m
     gate.width_m = max(usual, plausible)
     # while no slope is known, samples of nearer ground count on their own
@@ -175,9 +175,15 @@ def gate_width(params, adaptive):
 
 
 @jit
+def plausible_change_m(travel_m):
+    """Change of the ground's height over a distance that a single sample may show [m]."""
+    return PLAUSIBLE_SLOPE * travel_m
+
+
+@jit
 def is_outlier(params, adaptive, innovation_m, travel_m):
     """Whether a sample with this innovation, so far behind the one before, lies beyond the inner gate."""
-    return abs(innovation_m) > INNER_GATE * max(gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m)
+    return abs(innovation_m) > INNER_GATE * max(gate_width(params, adaptive), plausible_change_m(travel_m))
 
 
 @jit

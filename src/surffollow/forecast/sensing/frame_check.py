@@ -9,7 +9,7 @@ at the first motion:
 
 It is decided when z has changed by more than D: one of them has then changed by less than half as much as
 the other. Ground that rises or falls twice as fast as the tool looks reversed, too. The tool is therefore
-held. If r + z then changes by more than 2 D, the ground moves, and the check begins anew; so it does where
+held. If r + z then changes by more than D, the ground moves, and the check begins anew; so it does where
 another controller leads the tool. Otherwise the tool is lifted by 2 D, and lowered again. Only where both
 motions look reversed, the height is. A sensor that sees other ground than that under the tool is checked at
 rest.
@@ -34,9 +34,11 @@ from surffollow.shm.layout_adaptive_sensing import (
 MOTION_SIGMAS = 6.0  # of noise in D, over which a hundred ranges spread
 MOTION_COUNTS = 4.0  # of a coarse sensor in D, which has two of them in half of it
 MOTION_SHARE = 0.05  # of the stand-off in D: at a start the noise is not known, and may be 1 %
-LIFT = 2.0  # times D: the lift, and a change of r + z that shows that the ground moves
+LIFT = 2.0  # times D
 STAYS = 0.5  # of the other change at most: that one is twice the motion, this one is noise
-LOOKS_REVERSED = 0.25  # the same before the tool is held: over a ramp that begins with the check it is 0.3
+# the same before the tool is held. Over a ramp that begins with the check it is 0.19 at least: an axis with a
+# first-order lag climbs half as fast as the ramp after 0.7 lags, and r + z has then fallen by 0.3 of its way
+LOOKS_REVERSED = 0.15
 
 
 @jit
@@ -64,7 +66,7 @@ def _decide(params, adaptive, t_ns, range_m, tool_z_m):
         if obeyed:
             frame.setpoint_m = tool_z_m + LIFT * least_m
             _begin_window(frame, FRAME_LIFTED, t_ns, range_m, tool_z_m)
-        elif answers > 2.0 or sum_m > LIFT * least_m:
+        elif answers > 2.0 or sum_m > least_m:
             _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
     elif frame.phase in (FRAME_LIFTED, FRAME_LOWERED):
         if moved and obeyed and sum_m < STAYS * difference_m:
