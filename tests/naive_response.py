@@ -54,10 +54,13 @@ class NaiveResponse:
     swing_m: float = 0.0
     shift_z_m: float = 0.0
     shift_lead_m: float = 0.0
+    band_m: float = 0.0
+    begun_band_m: float = 0.0  # of the run
 
     def _begin_run(self, z_m: float) -> None:
         self.phase, self.run_m, self.in_run = RUN, self.mean_m, 0
         self.top_z_m, self.low_z_m = z_m, z_m
+        self.begun_band_m = self.band_m
         self.rates_mps: list[float] = []
         self.shift_ns, self.lift_m, self.swing_m = None, 0.0, 0.0
 
@@ -114,7 +117,7 @@ class NaiveResponse:
         often = self.repeats >= max(5, REPEAT_RATIO * self.usual_repeats) and self.usual_repeats > 0.0
         moved = often and abs(z_m - self.repeated_z_m) > self.band_m
         self.unused = self.repeats > 1 and (self.unused or moved)
-        allowed_m = self.band_m
+        allowed_m = self.band_m if begins else max(self.band_m, self.begun_band_m)
         self.answer_m = max(m.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
         if self.phase != RUN:
             allowed_m = self.answer_m

@@ -86,7 +86,7 @@ def test_the_only_sensor_leads_and_is_blocked_over_rising_ground(seed):
 @pytest.mark.parametrize(
     ("family", "seed"),
     [("one of three blocked", seed) for seed in (1520000, 1520004, 1520005, 1520029)]
-    + [("one of four blocked", 1520042)],
+    + [("one of four blocked", 1520020)],
 )
 def test_a_blocked_beam_of_a_ring_does_not_turn_the_tool_on_and_on(family, seed):
     """GIVEN a beam of three or four that is blocked THEN the ring turns by less than 20 degrees.
@@ -100,6 +100,16 @@ def test_a_blocked_beam_of_a_ring_does_not_turn_the_tool_on_and_on(family, seed)
     print(f"tilt {math.degrees(ours.tilt_rad):.1f} degrees, least clearance {1e3 * ours.clearance_m:.1f} mm")
     assert math.degrees(ours.tilt_rad) < 20.0
     assert shortfall_m(plain.clearance_m, ours.clearance_m) < BELOW_P_M
+
+
+def test_a_frozen_range_with_less_noise_stays_one_run():
+    """GIVEN a range frozen with 0.4 of its noise WHEN the noise is learned THEN its run does not end.
+
+    The narrower band ended it after a descent of 12 mm, which did not count in the next run: 54 mm.
+    """
+    scenario = draw("frozen", 1650012)
+    ours, plain = play(follower(), scenario), play(PLoop(), scenario)
+    assert shortfall_m(plain.clearance_m, ours.clearance_m) < 0.3 * STANDOFF_M
 
 
 @pytest.mark.parametrize("seed", [1520006, 1520038])

@@ -121,6 +121,7 @@ class ConstantRanges(Schema):
     usual_m = F64(unit="m", doc="the usual one")
     range_m = F64(unit="m", doc="mean range of the run of constant ranges")
     samples = I64(doc="samples since its begin")
+    band_m = F64(unit="m", doc="change of the mean range that noise explained then")
     standoff_m = F64(unit="m", doc="stand-off then")
     slope = F64(doc="slope of the ground then")
     top_z_m = F64(unit="m", doc="greatest height of the tool in the run")

@@ -37,6 +37,7 @@ def begin_run(params, adaptive, tool_z_m, range_m):
     run.slope, run.standoff_m = adaptive.estimate.slope, params.offset_m
     run.range_m, run.mean_m, run.samples, run.rate_mps = range_m, range_m, 0, 0.0
     run.top_z_m = run.low_z_m = tool_z_m
+    run.band_m = mean_range.range_band_m(adaptive)
 
 
 @jit

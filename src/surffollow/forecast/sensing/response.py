@@ -213,8 +213,9 @@ def _answer_m(adaptive):
 def _responds(adaptive):
     """Whether the mean range has left the band of the run; in a test a wider one."""
     change_m = abs(adaptive.run.mean_m - adaptive.run.range_m)
-    in_run = adaptive.response.phase == RESPONSE_RUN
-    return change_m > (mean_range.range_band_m(adaptive) if in_run else _answer_m(adaptive))
+    if adaptive.response.phase != RESPONSE_RUN:
+        return change_m > _answer_m(adaptive)
+    return change_m > max(adaptive.run.band_m, mean_range.range_band_m(adaptive))
 
 
 @jit
