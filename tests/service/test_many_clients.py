@@ -121,7 +121,7 @@ def test_after_a_refused_pose_further_calls_ask_nothing_for_a_while(
         while other._refusals[POSE_CLAIM].until_ns == 0:
             with pytest.raises((BusyError, NotRunningError)):  # the latter where the service stands still
                 other.ee_pos(POSE)
-        assert len(asked) == 1
+        assert 1 <= len(asked) <= 2  # once more where it stood still
         monkeypatch.undo()
         # WHEN it is free, THEN it is had a time later, without a wait
         other._refusals[POSE_CLAIM] = refusal._replace(until_ns=0)
