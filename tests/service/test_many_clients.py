@@ -118,10 +118,12 @@ def test_after_a_refused_pose_further_calls_ask_nothing_for_a_while(
         # WHEN the time is over, THEN it asks once more and no call waits
         other._refusals[POSE_CLAIM] = refusal._replace(until_ns=0)
         monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("a later call waits"))
+        begin = time.monotonic()
         while other._refusals[POSE_CLAIM].until_ns == 0:
             with pytest.raises((BusyError, NotRunningError)):  # the latter where the service stands still
                 other.ee_pos(POSE)
-        assert 1 <= len(asked) <= 2  # once more where it stood still
+        stood_still = time.monotonic() - begin > 0.5  # then it may ask once more
+        assert len(asked) == 1 or (stood_still and len(asked) == 2)
         monkeypatch.undo()
         # WHEN it is free, THEN it is had a time later, without a wait
         other._refusals[POSE_CLAIM] = refusal._replace(until_ns=0)

@@ -34,7 +34,7 @@ from surffollow.shm.layout_adaptive_sensing import (
 MOTION_SIGMAS = 6.0  # of noise in D, over which a hundred ranges spread
 MOTION_COUNTS = 4.0  # of a coarse sensor in D, which has two of them in half of it
 MOTION_SHARE = 0.05  # of the stand-off in D: at a start the noise is not known, and may be 1 %
-LIFT = 2.0  # times D
+LIFT = 2.0  # times D: the tool is lifted and lowered by it
 STAYS = 0.5  # of the other change at most: that one is twice the motion, this one is noise
 # the same before the tool is held. Over a ramp that begins with the check it is 0.19 at least: an axis with a
 # first-order lag climbs half as fast as the ramp after 0.7 lags, and r + z has then fallen by 0.3 of its way
