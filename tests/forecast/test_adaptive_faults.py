@@ -257,9 +257,11 @@ def test_a_stuck_sensor_does_not_drive_the_tool_to_the_surface(rate_hz, held_m):
 
 def test_a_sensor_that_reads_again_what_it_was_stuck_at_is_believed_when_the_ground_changes():
     """GIVEN a range stuck at what it reads again later THEN there is no demand until it changes by 1.5 b."""
-    robot = Robot(lambda x: 1e-3 if x > 0.95 else 0.0, 0.1, 50)
+    robot = Robot(lambda x: 0.0, 0.1, 50)
     robot.run(3.0)
     robot.run(5.0, held_m=[0.1005])
+    level_m = robot.z_m - 0.1005
+    robot.ground = lambda x: level_m + (1e-3 if x > 0.95 else 0.0)
     robot.run(1.0)
     assert robot.f.state()["health"] == "STUCK"
     assert "VALID" not in robot.f.state()["status"]

@@ -204,3 +204,21 @@ def test_a_sensor_ahead_with_much_noise_is_not_used():
     print(f"shares {shares}")
     assert shares[0] > 0.9
     assert shares[1] < 0.2
+
+
+def test_no_channel_leads_once_three_of_them_give_a_plane():
+    """GIVEN a channel that leads WHEN the tool begins to be rotated THEN its heights serve no preview."""
+    f = Follower(
+        {"memory": False, "orient": 0, "sensors": [*UNDER_AND_AHEAD, {"position_m": [0.0, 0.05, 0.0]}]},
+        offset_m=0.1,
+    )
+    leads = []
+    for k in range(400):
+        t = 10**10 + 4 * k * MS
+        f.pose(t, (4e-4 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        if k == 300:
+            f.set_params(orient="on")
+        f.step(t, [0.1, 0.1, 0.1])
+        leads.append(float(f._state["adaptive"]["lookahead"]["lead_m"][0]))
+    assert leads[299] > 0.04
+    assert leads[-1] == 0.0

@@ -98,6 +98,7 @@ class Bench:
         self.params, self.a = zeros(Params)[0], zeros(AdaptiveState)[0]
         self.params["max_tilt_rad"] = 0.8
         self.a["plant"]["tau_s"], self.a["noise"]["sigma_m"] = TAU_S, SIGMA_M
+        self.a["attitude"]["t_ns"] = 1  # rotations are demanded
         self.a["plane"]["rank"], self.a["plane"]["count"], self.a["plane"]["spread_m2"] = 2, 9, 1.35e-3
         self.tilt, self.t_ns = 0.0, 10**9
 
@@ -157,10 +158,13 @@ def test_a_tool_that_stops_before_the_target_of_the_test_is_judged_by_how_far_it
     assert bench.run(80, 0.0, deviation) == (ROTATION_RUN if responds else ROTATION_FAILED)
 
 
-@pytest.mark.parametrize("applied", [True, False])
-def test_a_tool_that_does_not_turn_back_fails_in_time_where_rotations_are_applied(applied):
-    bench = Bench()
-    bench.params["max_turn_speed_radps"], bench.params["run"] = 1.0, RUN_NORMAL if applied else RUN_FREEZE
+@pytest.mark.parametrize("reason", ["", "FREEZE", "not demanded", "inconsistent beams"])
+def test_a_tool_that_does_not_turn_back_fails_in_time_where_rotations_are_applied(reason):
+    bench, applied = Bench(), reason == ""
+    bench.params["max_turn_speed_radps"] = 1.0
+    bench.params["run"] = RUN_FREEZE if reason == "FREEZE" else RUN_NORMAL
+    bench.a["attitude"]["t_ns"] = 0 if reason == "not demanded" else 1
+    bench.a["beams"]["inconsistent"] = 1 if reason == "inconsistent beams" else 0
     assert bench.run(80, 0.3, 0.03) == ROTATION_TEST
     assert bench.run(120, 0.0, 0.03) == ROTATION_TEST
     assert bench.run(80, 0.0, 0.03) == (ROTATION_FAILED if applied else ROTATION_TEST)

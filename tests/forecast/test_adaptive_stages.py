@@ -281,7 +281,7 @@ def naive_predictions(t_s, ranges_m, horizon_s, most=1.0):
 
     for k in range(1, len(t_s)):
         dt = t_s[k] - t_s[k - 1]
-        interval += (dt - interval) / 20 if interval else dt
+        interval += (min(dt, 2 * interval) - interval) / 20 if interval else dt
         unit = max(interval, 0.12)
 
         def weight(duration_s, intervals, unit=unit):
@@ -557,3 +557,22 @@ def test_the_count_of_a_sensor_is_its_least_change_of_many():
     assert count_m(hold) == pytest.approx(count, rel=1e-9)
     reset_hold(hold)
     assert count_m(hold) == 0.0
+
+
+@pytest.mark.parametrize("gap_s", [0.5, 2.0])
+def test_the_usual_interval_is_not_that_of_a_loss(gap_s):
+    """GIVEN readings every 4 ms WHEN they are missing for seconds THEN the sensor is none of a second."""
+    prediction = zeros(AdaptiveState)[0]["prediction"]
+    for k in range(200):
+        update_prediction(default_params(), prediction, 10**9 + k * 4 * MS, 0.1)
+    update_prediction(default_params(), prediction, 10**9 + round(gap_s * 1e9), 0.1)
+    assert prediction["interval_s"] < 5e-3
+
+
+def test_a_rejected_range_is_no_longer_interval():
+    """GIVEN a glitch in every fourth reading, 10 ms apart, THEN the interval is 10 ms."""
+    prediction, rng = zeros(AdaptiveState)[0]["prediction"], np.random.default_rng(1)
+    for k in range(400):
+        range_m = 0.1 + 1e-4 * rng.standard_normal() + (0.05 if k > 50 and k % 4 == 0 else 0.0)
+        update_prediction(default_params(), prediction, 10**9 + 10 * k * MS, range_m)
+    assert prediction["interval_s"] == pytest.approx(0.01, rel=0.01)

@@ -123,6 +123,24 @@ def test_a_stop_for_descents_ends_them_and_can_be_reset(seed):
     assert output["stop"] == 0
 
 
+def test_another_standoff_ends_the_suspicion_of_a_descent():
+    """GIVEN a hose that was read as ground WHEN the stand-off changes THEN the tool may descend to it."""
+    changed = []
+
+    def read(t, r, rng):
+        if t > 2.0 and not changed and int(f._state["adaptive"]["descent"]["unexplained"][0]):
+            f.set_params(offset_m=0.11)
+            changed.append(t)
+        if changed and t < changed[0] + 0.01:
+            seen.append(int(f._state["adaptive"]["descent"]["unexplained"][0]))
+        return 0.105 + 0.005 * math.sin(2.0 * math.pi * t) if t > 2.0 else noisy(t, r, rng)
+
+    f, seen = standard(), []
+    closed_loop(lambda x: 0.01 * math.sin(12.0 * x), read, seconds=5.0, seed=0, speed=0.05, follower=f)
+    assert seen, "a descent was suspected"
+    assert seen[-1] == 0
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     ("ground", "speed"),

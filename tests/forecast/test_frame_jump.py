@@ -53,3 +53,27 @@ def test_drops_that_were_confirmed_before_a_jump_allow_no_descent_behind_it(jump
             known["descent_m"], known["peak_m"], known["contradictions"] = 0.02, 0.01, 1
     left = [float(known[name][0]) for name in ("descent_m", "peak_m", "contradictions")]
     assert left == ([0.0, 0.0, 0.0] if jump_m else [0.02, 0.01, 1.0])
+
+
+@pytest.mark.parametrize("late_ms", [0, 12])
+@pytest.mark.parametrize("jump_m", [0.02, -0.02])
+def test_a_jump_of_the_height_moves_no_tool_whose_poses_are_late(jump_m, late_ms):
+    """GIVEN level ground WHEN reported heights jump THEN the tool stays, though samples run ahead of poses.
+
+    Samples with timestamps from behind the jump, taken before it was reported, counted as from the new frame.
+    """
+    f, rng, z, goal = Follower({"memory": False}, offset_m=0.1), np.random.default_rng(0), 0.1, 0.1
+    due, off, reported = [], [], z
+    for ms in range(3000):
+        t, shift = 10**9 + ms * MS, jump_m if ms >= 2000 else 0.0
+        z += (goal - z) / 40.0
+        if ms % 10 == 0:
+            due.append((ms + late_ms, t, (5e-5 * ms, 0.0, z + shift, 0.0, 0.0, 0.0, 1.0), z))
+        while due and due[0][0] <= ms:
+            _, pose_ns, pose, reported = due.pop(0)
+            f.pose(pose_ns, pose)
+        demand = f.step(t, [z + 5e-5 * rng.standard_normal()] if ms % 4 == 0 else [math.nan])
+        goal = reported + demand[2]
+        off.append(abs(z - 0.1))
+    print(f"{1e3 * max(off[1900:]):.2f} mm")
+    assert max(off[1900:]) < 5e-4

@@ -105,7 +105,7 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
 
 
 @jit_inlined
-def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
+def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies):
     """Demand of the adaptive mode into `output`; returns status bits.
 
     Parameters
@@ -113,6 +113,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
     params, adaptive, sense, fold, inputs, output : records of `Params`, `AdaptiveState`, `SenseState`,
         `FoldBackState`, `Inputs`, `Output`, all dimensionless (`reference_scales`)
     pose : (7,) float64 scratch
+    applies : bool  demands can be applied: neither FREEZE nor a latched stop
 
     Notes
     -----
@@ -130,7 +131,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
             setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
         plant_identification.update_plant(params, adaptive, sense, inputs)
     measurement.process_sample(params, adaptive, sense, fold, inputs, output, pose)
-    if not orients(params) and params.n_channels > 1:
+    if params.n_channels > 1:
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
     close = layout.TOO_CLOSE if fold.close != 0 else 0
     stuck, lost = health.update_health(params, adaptive, sense, close != 0)
@@ -168,14 +169,16 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose):
         status |= layout.LIMITED
     if close != 0:
         limited = fold_back.lead_away(params, limited)
-        attitude.release_attitude(adaptive.attitude)  # away from the surface first, then rotate
     output.demand[2] = limited
-    if close == 0 and not stuck and orients(params) and adaptive.plane.count > 0:
+    if close != 0 or stuck:
+        attitude.release_attitude(adaptive.attitude)  # away from the surface first, then rotate
+    elif orients(params) and adaptive.plane.count > 0:
         attitude.demand_rotation(params, adaptive, sense, output)
-    applied_m = limited if params.run == layout.RUN_NORMAL else 0.0
+    applied_m = limited if applies and params.run == layout.RUN_NORMAL else 0.0
     plant_identification.record_own_setpoint(adaptive, answered, tool_z + applied_m)
-    if params.run == layout.RUN_FREEZE:
-        setpoint_limits.release_setpoint(setpoint)  # no demand is applied
+    if not applies:  # the next setpoints begin at the tool
+        setpoint_limits.release_setpoint(setpoint)
+        attitude.release_attitude(adaptive.attitude)
     output.delta_h_m = estimate.slope * max(ahead, 0.0)
     output.error_m = params.offset_m - adaptive.hold.range_m
     return status

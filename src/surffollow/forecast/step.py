@@ -151,8 +151,10 @@ def adaptive_cycle(params, state, sense, fold, inputs, output, pose, ready):
     if latency_identification.check_configured_latency(params, adaptive.latency):
         sample_hold.reset_hold(adaptive.hold)
     if ready:
-        status = adaptive_step.compute_demand(params, adaptive, sense, fold, inputs, output, pose)
+        applies = params.run != layout.RUN_FREEZE and state[0].stop == 0
+        status = adaptive_step.compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     if adaptive.health.forget != 0:
+        output.fresh = 0  # of this cycle nothing is mapped
         reset.begin_anew(state, adaptive.health.forget)
     adaptive_step.publish_estimate(params, adaptive, output)
     if not ready:

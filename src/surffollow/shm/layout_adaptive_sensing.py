@@ -13,6 +13,10 @@ class Clock(Schema):
     now_ns = I64(unit="ns", doc="latest timestamp of steps and poses")
 
 
+# a jump of the reported position: a sample from behind it was accepted; none after one aside, after one up
+JUMP_SEEN, JUMP_ASIDE, JUMP_UP = range(3)
+
+
 class Kinematics(Schema):
     """Velocity of the tool (`kinematics`)."""
 
@@ -22,7 +26,7 @@ class Kinematics(Schema):
     climb_mps = F64(unit="m/s", doc="vertical velocity")
     coasted_m = F64(unit="m", doc="where the velocity before the newest report led its height")
     jump_ns = I64(unit="ns", doc="timestamp of the first report after a jump of the position; 0: none")
-    climb_jump_ns = I64(unit="ns", doc="the same of the height")
+    jump = I64(doc="JUMP_SEEN, or the jump behind which no sample was accepted: JUMP_ASIDE, JUMP_UP")
     scatter_m = F64(unit="m", doc="usual lateral distance of a report from where the velocity leads")
     climb_scatter_m = F64(unit="m", doc="the same of the height")
     noise_m = F64(unit="m", doc="as `scatter_m`, but from 0: noise of the position")
@@ -72,6 +76,7 @@ class Sample(Schema):
     heading_y = F64(unit="1")
     spacing_m = F64(unit="m", doc="usual distance travelled between samples")
     pose_count = I64(doc="pose reports at the newest sample behind a report with an unknown height")
+    entered = I64(doc="1: the newest sample entered the estimate")
 
 
 class Health(Schema):

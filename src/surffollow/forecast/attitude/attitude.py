@@ -13,7 +13,7 @@ from surffollow.forecast.pose import newest_pose, rotation_between, to_world
 from surffollow.forecast.quantities import MAX_GAP_NS
 from surffollow.forecast.setpoint.setpoint_limits import restart_pause_s
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_follow import CHANNELS, POSES, RUN_FREEZE
+from surffollow.shm.layout_follow import CHANNELS, POSES
 
 
 @jit
@@ -82,9 +82,6 @@ def demand_rotation(params, adaptive, sense, output):
     tool_axis = to_world(sense.pose, 7 * newest_pose(sense), 0.0, 0.0, 1.0)
     _, turn = rotation_between(to_world(sense.pose, 7 * before, 0.0, 0.0, 1.0), tool_axis)
     jumped = turn > 0.3 * params.max_tilt_rad  # no tool turns so far between two reports
-    if params.run == RUN_FREEZE:
-        release_attitude(attitude)  # afterwards it begins at the tool
-        return
     elapsed_s = (now_ns - attitude.t_ns) * 1e-9
     begins = attitude.t_ns == 0 or jumped or not math.isfinite(u[0] + u[1] + u[2])
     if begins or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint):

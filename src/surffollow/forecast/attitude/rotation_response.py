@@ -128,8 +128,9 @@ def observe_rotation(params, adaptive, t_ns, pose):
                 rotation.test_axis[i] = axis[i] + probe / turn * (rotation.run_axis[i] - axis[i])
     elif rotation.phase == ROTATION_TEST:
         rotation.samples += 1 if back > 0.5 * least else 0
-        if params.run != RUN_NORMAL:
-            rotation.test_ns = t_ns  # no rotation is applied
+        obeyed = params.run == RUN_NORMAL and adaptive.attitude.t_ns != 0 and adaptive.beams.inconsistent == 0
+        if not obeyed:
+            rotation.test_ns = t_ns  # no rotation is demanded, or none is applied
         longest_s = ANSWER_TAUS * adaptive.plant.tau_s + 2.0 * probe / params.max_turn_speed_radps
         late = (t_ns - rotation.test_ns) * 1e-9 > longest_s
         if rotation.samples * share > MIN_MEANS or late:

@@ -18,6 +18,7 @@ from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, MIN_DIRECTI
 from surffollow.forecast.terrain.terrain_buffer import sensor_leads, store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, N_MODELS, PENDING_HEIGHTS, RESTART, STEP
+from surffollow.shm.layout_adaptive_sensing import JUMP_UP
 
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 
@@ -64,6 +65,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh):
         setpoint_lead.reset_lead(adaptive.lead)
         shadow_axes.reset_effort(shadow)
         noise.initialise_noise(adaptive.noise)
+        estimate.slope_power = estimate.quick_slope_power = 0.0
     estimate.samples, estimate.kept_slope = 1, 0.0
     if fresh or adapts(params, adaptive):
         model_weights.update_weights(params, adaptive, math.inf)  # without their filter
@@ -144,7 +146,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     """
     gate, bank, estimate, kinematics = adaptive.gate, adaptive.bank, adaptive.estimate, adaptive.kinematics
     dt, since_accepted_ns = (t_ns - estimate.sample_ns) * 1e-9, t_ns - estimate.accepted_ns
-    other_frame = estimate.accepted_ns < kinematics.climb_jump_ns and t_ns >= kinematics.jump_ns
+    other_frame = kinematics.jump == JUMP_UP and t_ns >= kinematics.jump_ns
     unseen = adaptive.health.unseen != 0 or since_accepted_ns > params.loss_timeout_ns
     outdated = travel_m > MAX_TRAVEL_M or unseen
     if estimate.samples == 0 or outdated or other_frame:

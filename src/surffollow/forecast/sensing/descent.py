@@ -74,6 +74,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     changing = t_ns - descent.changed_ns < 1e9 * answer_s(adaptive, MIN_MEANS)  # on its way to a stand-off
     if changing or adaptive.response.swing_m > 0.0:  # or in its test
         begin_descent(adaptive, tool_z_m, descent.reach_m)
+        descent.unexplained = 0
         return 0.0
     fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
     descent.range_m += (range_m - descent.range_m) / number

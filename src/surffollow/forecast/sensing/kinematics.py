@@ -11,6 +11,7 @@ from surffollow.forecast.quantities import (
     follow_usual,
 )
 from surffollow.shm.jit import jit
+from surffollow.shm.layout_adaptive_sensing import JUMP_ASIDE, JUMP_SEEN, JUMP_UP
 from surffollow.shm.layout_follow import POSES
 
 # ground that moves changes at least as quickly as other ground does under a tool of this speed
@@ -82,9 +83,15 @@ def note_jump(params, kinematics, sense):
     if not climbed and aside <= most_aside:
         return False
     kinematics.jump_ns = sense.pose_t_ns[newest_pose(sense)]
-    if climbed:
-        kinematics.climb_jump_ns = kinematics.jump_ns
+    kinematics.jump = max(kinematics.jump, JUMP_UP if climbed else JUMP_ASIDE)
     return True
+
+
+@jit
+def see_jump(kinematics, t_ns):
+    """Note an accepted sample: one from behind the newest jump is in the frame of the poses."""
+    if t_ns >= kinematics.jump_ns:
+        kinematics.jump = JUMP_SEEN
 
 
 @jit

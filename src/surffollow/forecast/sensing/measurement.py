@@ -23,11 +23,15 @@ from surffollow.forecast.sensing.range_prediction import update_prediction
 from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
 from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
 from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.layout_adaptive_sensing import JUMP_SEEN
 
 
 @jit_inlined
 def process_sample(params, adaptive, sense, fold, inputs, output, pose):
-    """Process a new sample, if there is one; a sample that does not enter the estimate is not mapped.
+    """Process a new sample, if there is one, and decide which readings are mapped.
+
+    A sample is that enters the estimate. Of several beams the accepted ones are, with the newest such sample
+    or behind it.
 
     Parameters
     ----------
@@ -38,9 +42,28 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     -----
     The newest pose reported gives the desired height and the sample's place in the preview.
     """
+    sample = adaptive.sample
     is_new, channel, range_m, t = take_sample(params, adaptive, sense, inputs, output, pose)
-    if not is_new:
-        return
+    if is_new:
+        sample.entered = 0
+        enter_sample(params, adaptive, sense, fold, inputs, output, pose, channel, range_m, t)
+    if orients(params):
+        for c in range(params.n_channels):
+            if sample.entered == 0 or adaptive.beams.accepted[c] == 0:
+                output.fresh &= ~(1 << c)
+
+
+@jit_inlined
+def enter_sample(params, adaptive, sense, fold, inputs, output, pose, channel, range_m, t):
+    """Check a new sample and let it enter the estimate, if nothing is wrong with it.
+
+    Parameters
+    ----------
+    params, adaptive, sense, fold, inputs, output, pose : as in `process_sample`
+    channel : int64    the one that it is of
+    range_m : float64  its range [m]
+    t : int64          its timestamp
+    """
     responds, t = observe_sensor(params, adaptive, sense, t, range_m, pose, fold.close != 0)
     if t <= adaptive.estimate.sample_ns or not responds or adaptive.repeats.unused != 0:
         return
@@ -62,9 +85,6 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
         if accepted == 0:
             return
         rotation_response.observe_rotation(params, adaptive, t, pose)
-        for c in range(params.n_channels):
-            if adaptive.beams.accepted[c] == 0:  # excluded beams are not mapped
-                output.fresh &= ~(1 << c)
     travel = advance_path(params, adaptive, t, x, y, pose)
     if not orients(params) and (at_rest or adaptive.latency.count > 0):
         latency_identification.observe_height(params, adaptive, sense, t, h, pose)
@@ -76,6 +96,8 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
             preview.withdraw_preview(adaptive.preview)
     if not entered:
         return
+    adaptive.sample.entered = 1
+    kinematics.see_jump(adaptive.kinematics, t)
     terrain_buffer.store_ground_under(adaptive, adaptive.estimate.arc_length_m, h)
     preview.observe_ground(params, adaptive, h)
     if not orients(params):
@@ -187,8 +209,8 @@ def footprint_lead(adaptive, pose, at):
 
 @jit
 def spans_jump(adaptive):
-    """Whether the reported position has jumped since the sample before: its footprint is in another frame."""
-    return adaptive.kinematics.jump_ns > adaptive.estimate.sample_ns
+    """Whether the reported position has jumped since the last accepted sample: that is in another frame."""
+    return adaptive.kinematics.jump != JUMP_SEEN
 
 
 @jit

@@ -13,7 +13,7 @@ Over a slope, where the range returns to no mean, it is 0.
 import math
 
 from surffollow.forecast import elementary
-from surffollow.forecast.quantities import MEAN_TO_SIGMA, follow_usual
+from surffollow.forecast.quantities import MEAN_TO_SIGMA, follow_interval, follow_usual
 from surffollow.shm.jit import jit, jit_inlined
 
 
@@ -98,7 +98,8 @@ def update_prediction(params, prediction, t_ns, range_m):
         prediction.t_ns, prediction.rejected = t_ns, 0
         begin_mean(prediction, range_m)
         return
-    prediction.interval_s = follow_usual(prediction.interval_s, dt)
+    # behind a rejected range dt is of two intervals
+    prediction.interval_s = follow_interval(prediction.interval_s, dt / (1.0 + prediction.rejected))
     unit_s, decay_s = time_constants_s(prediction)
     expected_m = predict_range(prediction, dt)
     innovation = range_m - expected_m

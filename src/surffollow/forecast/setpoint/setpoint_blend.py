@@ -13,6 +13,7 @@ from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
+from surffollow.shm.layout_adaptive_sensing import JUMP_SEEN
 
 
 @jit
@@ -179,8 +180,8 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     age_s : float64       of that pose when the demand acts [s]
     stuck : bool          the range does not respond to the tool's motion
     """
-    estimate, kinematics = adaptive.estimate, adaptive.kinematics
-    if estimate.accepted_ns < kinematics.jump_ns <= adaptive.clock.now_ns:
+    estimate = adaptive.estimate
+    if adaptive.kinematics.jump != JUMP_SEEN:
         return tool_z_m  # heights are in the frame before the jump
     dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS) > 0.0
     few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout

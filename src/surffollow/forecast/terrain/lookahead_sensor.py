@@ -4,6 +4,7 @@ Their heights enter the terrain buffer; a sample that disagrees with the one bef
 while channel 0 leads itself: nothing under the tool would check them.
 """
 
+from surffollow.forecast.modes import orients
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
@@ -25,10 +26,11 @@ def observe_lookahead(params, adaptive, sense, pose):
     """
     clock, kinematics, sample = adaptive.clock, adaptive.kinematics, adaptive.sample
     estimate, lookahead = adaptive.estimate, adaptive.lookahead
-    moving = not is_at_rest(kinematics)  # otherwise no channel leads, nor does one that was silent for long
-    if not moving or clock.now_ns - lookahead.seen_ns > LONG_GAP_NS:
+    # no channel leads at rest, nor do several that give a plane, or one that was silent for long
+    none = orients(params) or is_at_rest(kinematics)
+    if none or clock.now_ns - lookahead.seen_ns > LONG_GAP_NS:
         lookahead.lead_m = 0.0
-    if not moving or estimate.samples == 0 or sensor_leads(adaptive):
+    if none or estimate.samples == 0 or sensor_leads(adaptive):
         return
     for c in range(1, params.n_channels):
         t = sense.range_t_ns[c] + adaptive.hold.shift_ns
