@@ -10,7 +10,7 @@ from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, REPEAT_BAND, SL
 from surffollow.forecast.sensing import constant_ranges as c
 from surffollow.forecast.sensing import mean_range as m
 from surffollow.forecast.sensing import response as r
-from surffollow.forecast.sensing.repeated_ranges import REPEAT_RATIO
+from surffollow.forecast.sensing.repeated_ranges import LEAST_CHANCE, REPEAT_RATIO
 
 RUN, HOLD, LIFT, NONE = "run", "hold", "lift", "none"
 
@@ -36,6 +36,11 @@ class NaiveResponse:
     settled_ns: int = 0
     proven_m: float = 0.0
     repeats: int = 0
+    chance: float = 1.0
+    equal: int = 0
+    usual_equal: float = 0.0
+    noise_m: float = 0.0  # without that of the quantisation
+    count_m: float = 0.0  # of the sensor
     usual_repeats: float = 0.0
     spread_m: float = 0.0
     usual_m: float = 0.0
@@ -44,7 +49,6 @@ class NaiveResponse:
     repeated_m: float = 0.0
     rose: bool = False
     far_m: float = 0.1524
-    gate_m: float = 0.0
     repeated_z_m: float = 0.0
     unused: bool = False
     lift_m: float = 0.0
@@ -65,14 +69,22 @@ class NaiveResponse:
         self.shift_ns, self.lift_m, self.swing_m = None, 0.0, 0.0
 
     def _count_repeats(self, range_m: float, z_m: float) -> None:
-        if self.repeats > 0 and abs(range_m - self.repeated_m) <= REPEAT_BAND * self.sigma_m:
+        if self.repeats > 0 and abs(range_m - self.repeated_m) <= REPEAT_BAND * self.noise_m:
             self.repeats += 1
+            equals = range_m == self.repeated_m
+            self.equal += equals
+            chance = min(1.0, self.count_m / (2.0 * math.sqrt(math.pi) * self.sigma_m))
+            self.chance *= chance if equals else 0.14
             return
-        longer, outlier = self.repeats > self.usual_repeats, abs(range_m - self.repeated_m) > self.gate_m
-        share = 1.0 / m.RUN_SAMPLES if not longer else 0.125 if outlier else 1.0
+        self.chance = 1.0
         if self.phase == RUN:
+            share = 1.0 / (m.MAX_READINGS if self.repeats > self.usual_repeats else m.RUN_SAMPLES)
             self.usual_repeats = (1.0 - share) * self.usual_repeats + share * self.repeats
+            share = 1.0 / (m.MAX_READINGS if self.equal > self.usual_equal else m.RUN_SAMPLES)
+            self.usual_equal = (1.0 - share) * self.usual_equal + share * self.equal
+        self.equal = 1
         self.repeats, self.repeated_m, self.repeated_z_m = 1, range_m, z_m
+        self.repeated_setpoint_m = self.setpoint_m
 
     @property
     def is_quiet(self) -> bool:
@@ -97,8 +109,9 @@ class NaiveResponse:
         self._count_repeats(range_m, z_m)
         self.number = min(max(self.tau_s / self.interval_s, m.MIN_READINGS), m.MAX_READINGS)
         self.band_m = m.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
+        one_m = m.BAND_SIGMAS * self.sigma_m
         tests = self.phase != RUN or self.lift_m > 0.0
-        most_m = self.number * self.band_m if tests else m.BAND_SIGMAS * self.sigma_m
+        most_m = self.number * self.band_m if tests else one_m
         most_m = max(most_m, r.SWINGS[0] * self.swing_m)
         step_m = range_m - self.mean_m
         deviation_m = min(abs(step_m), most_m)
@@ -114,8 +127,10 @@ class NaiveResponse:
         self.in_run += 1
         if self.swing_m == 0.0 and self.number < self.in_run < m.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
-        often = self.repeats >= max(5, REPEAT_RATIO * self.usual_repeats) and self.usual_repeats > 0.0
-        moved = often and abs(z_m - self.repeated_z_m) > self.band_m
+        near = self.repeats >= REPEAT_RATIO * self.usual_repeats
+        often = self.chance < LEAST_CHANCE and (near or self.equal >= REPEAT_RATIO * self.usual_equal)
+        moved_m = max(abs(z_m - self.repeated_z_m), abs(self.setpoint_m - self.repeated_setpoint_m))
+        moved = often and moved_m > self.band_m
         self.unused = self.repeats > 1 and (self.unused or moved)
         allowed_m = self.band_m if begins else max(self.band_m, self.begun_band_m)
         self.answer_m = max(m.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
@@ -131,10 +146,10 @@ class NaiveResponse:
                 self.settled_ns = back_ns
                 rates_mps = self.rates_mps or [0.0]
                 moved_m = math.fsum(rates_mps) / len(rates_mps) * self.number * self.interval_s
-                jumps = abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m + moved_m
+                jumps = abs(range_m - self.mean_m) > one_m + moved_m
                 proven_m = self.mean_m if self.mean_m > self.run_m else min(self.proven_m, self.mean_m)
                 self.proven_m = 0.0 if self.rose or jumps else proven_m
-            if begins or abs(range_m - self.mean_m) > m.BAND_SIGMAS * self.sigma_m:
+            if begins or abs(range_m - self.mean_m) > one_m:
                 self.mean_m = range_m
             self._begin_run(z_m)
         elif self.phase == RUN and self.descent_m is not None:

@@ -182,7 +182,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "descent limit in a loss": [
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
-    "test of the response": [("response", "if late or far or sign == SIGN_FOR_HOLD:", "if False:")],
+    "test of the response": [("response", "if late or far or sign == layout.SIGN_FOR_HOLD:", "if False:")],
     "heights by the axis model": [
         ("plant_identification", "0.0 < plant.scatter_m <", "0.0 > plant.scatter_m <")
     ],
@@ -191,7 +191,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "shift before a steep hold": [("response", "STEEP = 0.5", "STEEP = 1e9")],
     "shift before a hold": [("constant_ranges", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
-    "repeated ranges": [("repeated_ranges", "change_m > REPEAT_BAND * sigma_m", "change_m > -1.0")],
+    "repeated ranges": [("repeated_ranges", "if often and known and moved_m", "if False and moved_m")],
 }
 
 

@@ -75,11 +75,11 @@ def test_after_freeze_and_dryrun_the_setpoint_begins_at_the_tool(run):
     shown = b.go(1000, 0.13)
     assert shown[-1] == pytest.approx(0.0 if run == "freeze" else -0.03, abs=1e-4)
     b.f.set_params(run="normal")
-    demands = b.go(200, 0.13)
+    demands = b.go(200, 0.13)  # a tool that stays looks pushed, by a little
     # what the axis can use and 4e5 m/s³ allow, half of it toward the surface
     assert -0.5e-3 < demands[0] < 0.0
     assert np.abs(np.diff(demands)).max() <= 0.2 * 1e-3 + 1e-9
-    assert demands[-1] == pytest.approx(-0.03, abs=1e-4)
+    assert demands[-1] == pytest.approx(-0.03, abs=2e-4)
 
 
 def test_after_dryrun_with_four_sensors_the_attitude_begins_at_the_tool():
@@ -256,10 +256,11 @@ def test_a_stuck_sensor_does_not_drive_the_tool_to_the_surface(rate_hz, held_m):
 
 
 def test_a_sensor_that_reads_again_what_it_was_stuck_at_is_believed_when_the_ground_changes():
-    """GIVEN a range stuck at what it reads again later THEN there is no demand until it changes by 1.5 b."""
+    """GIVEN a blocked sensor that reads the same later THEN there is no demand until it changes by 1.5 b."""
     robot = Robot(lambda x: 0.0, 0.1, 50)
     robot.run(3.0)
-    robot.run(5.0, held_m=[0.1005])
+    robot.ground = lambda x: robot.z_m - 0.1005  # something that moves with the sensor blocks it
+    robot.run(5.0)
     level_m = robot.z_m - 0.1005
     robot.ground = lambda x: level_m + (1e-3 if x > 0.95 else 0.0)
     robot.run(1.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from naive_response import HOLD, LIFT, NONE, RUN, NaiveResponse
@@ -33,7 +35,11 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
     rotation_failed = bool(rng.random() < 0.2)
     adaptive["rotation"]["phase"] = ROTATION_FAILED if rotation_failed else ROTATION_RUN
     twin = NaiveResponse(tau_s, interval_s, STANDOFF_M, SIGMA_M, GAP_S, lead_m, delay_s, rotation_failed)
-    twin.gate_m = float(params["gate_m"])
+    count_m = float(rng.choice([0.0, 2e-5, 5e-4]))  # none, far below the noise, a coarse sensor
+    twin.sigma_m = max(SIGMA_M, count_m / math.sqrt(12.0))  # of the quantisation at least
+    twin.noise_m = SIGMA_M
+    twin.count_m = adaptive["hold"]["least_m"] = count_m
+    adaptive["hold"]["changes"] = 8
     seen, t_ns, z, ground, stuck = set(), 1_000_000, STANDOFF_M, 0.0, None
     in_kernel, in_twin = [], []
     slope, noisy, disobeys = 0.0, True, False
@@ -49,6 +55,7 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         ground += slope * interval_s
         read = (z - ground if stuck is None else stuck) + SIGMA_M * rng.standard_normal() * noisy
         read += 0.02 * (rng.random() < 5e-3)
+        read = round(read / count_m) * count_m if count_m > 0.0 else read
         descent, twin.descent_m, spread_m = adaptive["descent"], None, 0.0
         if k > 10 and rng.random() < 4e-3:  # one that its ranges do not explain
             twin.descent_m = low, high = twin.mean_m - 2e-3 * rng.random(), twin.mean_m + 2e-3 * rng.random()

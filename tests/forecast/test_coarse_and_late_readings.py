@@ -83,3 +83,25 @@ def test_a_start_in_much_noise_does_not_reject_all_readings(noise_standoffs, see
     ours = follow(DRONE, hills(DRONE, 3.0, 0.1, seed), 12.0, 3.0, misread=misread, seed=seed)
     print(f"highest {ours.clearance_m.max() / DRONE.standoff_m:.2f} stand-offs")
     assert ours.clearance_m.max() < 2.2 * DRONE.standoff_m
+
+
+WELD = Job(0.06, 0.05, 0.025, 0.0125, 0.1, 3.0, 1e-4, (0.015, 0.24))
+ALTIMETER = Job(3.0, 0.2, 0.1, 0.02, 2.0, 15.0, 0.005, (0.75, 12.0))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("job", "count_m", "speed_mps"), [(WELD, 1e-3, 0.01), (ALTIMETER, 0.05, 2.0)])
+def test_a_range_that_rests_on_a_count_behind_an_approach_is_no_fault(job, count_m, speed_mps, seed):
+    """GIVEN level ground and noise of a tenth of a count WHEN the tool has come down THEN it is OK.
+
+    The learned noise fell to nothing on a count, and the last micrometres of the approach were a motion to
+    which the range did not respond: STUCK, and half of the weld trackers had no demand ever after.
+    """
+    above_m = np.random.default_rng(seed).uniform(0.2, 1.7) * job.standoff_m
+    read = lambda t, r, rng: count_m * round(r / count_m)  # noqa: E731
+    run = follow(
+        job, lambda x, t: 0.0, 400.0 * job.tau_s, speed_mps, misread=read, seed=seed, above_m=above_m
+    )
+    assert not any(s["health"] == "STUCK" for s in run.states)
+    assert all("VALID" in s["status"] for s in run.states[10:])
+    assert abs(run.clearance_m[-1] - job.standoff_m) < 0.75 * count_m

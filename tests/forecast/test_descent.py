@@ -175,6 +175,7 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
     params, a = default_params(), zeros(AdaptiveState)[0]
     params["offset_m"] = STANDOFF_M
     a["noise"]["sigma_m"], a["plant"]["tau_s"], a["prediction"]["interval_s"] = 2e-4, 0.04, 4e-3
+    a["noise"]["range_sigma_m"], scatter = 2e-4, 0.0
     speed = float(rng.uniform(0.0, 0.1))
     a["kinematics"]["speed_mps"], a["kinematics"]["climb_mps"] = speed, -0.1
     params["range_max_m"] = STANDOFF_M + 0.06
@@ -187,6 +188,7 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
         z -= 3e-4 * float(rng.random() - 0.2)
         z += 0.01 * float(rng.random() < 0.002)
         r = STANDOFF_M + 0.006 + 0.003 * math.sin(0.05 * k) + 1e-3 * float(rng.standard_normal())
+        r += 0.05 * float(rng.random() < 0.05)
         a["sample"]["lead_m"] = 0.05 * (k % 40 < 10)  # at times it leads
         comes_back = k % 70 < 35  # from another test
         a["response"]["settled_ns"] = (k * 4 + 100) * MS if comes_back else 0
@@ -196,6 +198,9 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
         if k == 1:
             mean = low = high = r
             floor = top = z
+        deviation = min(abs(r - mean), 3.0 * max(scatter, 2e-4))  # an outlier is cut
+        scatter += (deviation - scatter) / 64.0
+        r = mean + math.copysign(deviation, r - mean)
         mean += (r - mean) / 8.0
         low = min(low + (mean - low) / 500.0, mean)
         high = max(high + (mean - high) / 500.0, mean)

@@ -89,3 +89,18 @@ def test_a_disturbance_is_forgotten_when_no_demand_is_applied():
     f.set_params(run="freeze")
     run(4000, 4200)
     assert plant["disturbance_mps"] == 0.0
+
+
+@pytest.mark.parametrize("push", [-0.1, 0.1])
+@pytest.mark.parametrize("name", JOBS)
+def test_a_steady_push_leaves_no_steady_error(name, push):
+    """GIVEN a push of 0.1 stand-offs per τ WHEN it is known THEN the tool is at the stand-off, not beside it.
+
+    An axis that is pushed at the velocity d stays τ d beside its setpoint: 0.1 stand-offs here.
+    """
+    job = JOBS[name]
+    speed, d = 0.25 * job.standoff_m / job.tau_s, push * job.standoff_m / job.tau_s
+    run = follow(job, hills(job, 3), 600 * job.tau_s, speed, push_mps=lambda t: d, seed=3)
+    late = run.clearance_m[len(run.clearance_m) // 2 :] / job.standoff_m - 1.0
+    print(f"{name}: mean {late.mean():.3f}, RMS {np.sqrt(np.mean(late**2)):.3f} stand-offs")
+    assert abs(late.mean()) < 0.3 * abs(push)

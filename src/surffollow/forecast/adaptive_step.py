@@ -96,6 +96,8 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
         rate = min(max((ahead.ground_m[1] - ahead.ground_m[0]) / axis_model.PERIOD_S, -fastest), fastest)
         lead_s = adaptive.plant.tau_s + controller_clock.mean_wait_s(params, adaptive.controller)
         target_m = ahead.ground_m[0] + rate * lead_s + standoff_m
+    # an axis that is pushed at the velocity d stays τ d beside its setpoint
+    target_m -= adaptive.plant.tau_s * adaptive.plant.disturbance_mps
     target_m = setpoint_blend.filter_setpoint(params, adaptive, target_m)
     target_m += tested_setpoint.setpoint_shift_m(adaptive.response)
     planned = adaptive.plan.setpoint_m

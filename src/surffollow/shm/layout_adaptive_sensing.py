@@ -159,13 +159,18 @@ class Repeats(Schema):
     count = I64(doc="their number")
     range_m = F64(unit="m", doc="the first of them")
     tool_z_m = F64(unit="m", doc="height of the tool then")
+    setpoint_m = F64(unit="m", doc="its setpoint then")
     usual = F64(doc="longest such run lately")
+    equal = I64(doc="how many of them equal the first, which counts")
+    usual_equal = F64(doc="most of these lately")
+    chance = F64(doc="probability that noise makes such a run")
     unused = I64(doc="1: the newest range repeats although the tool has moved, and is not used")
 
 
 class Descent(Schema):
     """Descent of the tool, and the ranges in it (`descent`)."""
 
+    scatter_m = F64(unit="m", doc="mean deviation of ranges from their running mean, without outliers")
     samples = I64(doc="samples in it")
     standoff_m = F64(unit="m", doc="stand-off in it")
     changed_ns = I64(unit="ns", doc="timestamp of the sample at which that was set")

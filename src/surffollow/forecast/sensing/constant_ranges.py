@@ -11,14 +11,8 @@ from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, SLOW_RATE
 from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.forecast.sensing.repeated_ranges import is_repeated
+from surffollow.shm import layout_adaptive_sensing as layout
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_sensing import (
-    NO_SIGN,
-    RESPONSE_RUN,
-    ROTATION_FAILED,
-    SIGN_FOR_HOLD,
-    SIGN_FOR_SHIFT,
-)
 
 MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
 SHIFT_ERROR_MOTION = mean_range.ERROR_MOTION / 6.0  # from which the setpoint is shifted up …
@@ -43,7 +37,7 @@ def begin_run(params, adaptive, tool_z_m, range_m):
 @jit
 def moves_tool(response):
     """Whether a test of the response holds, lifts or shifts the tool."""
-    return response.phase != RESPONSE_RUN or response.lift_m > 0.0
+    return response.phase != layout.RESPONSE_RUN or response.lift_m > 0.0
 
 
 @jit
@@ -125,9 +119,9 @@ def sign_of_fault(adaptive, motion_m):
     unusual = error_m > USUAL_ERRORS * run.error_m
     suspicious = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
     if motion_m <= MOTION_BANDS * band_m:  # it hides in the noise
-        return NO_SIGN
-    if (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == ROTATION_FAILED:
-        return SIGN_FOR_HOLD
+        return layout.NO_SIGN
+    if (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == layout.ROTATION_FAILED:
+        return layout.SIGN_FOR_HOLD
     # with fewer samples in τ the ground changes while an answer is awaited
     few = number < mean_range.MAX_READINGS
     lags = few or error_m <= mean_range.LAG_TAUS * lag_s * run.rate_mps
@@ -136,5 +130,5 @@ def sign_of_fault(adaptive, motion_m):
         run_s = run.samples * adaptive.prediction.interval_s
         motion_m += max(run.slope, 0.0) * path_speed(adaptive.kinematics) * run_s
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
-        return NO_SIGN
-    return SIGN_FOR_SHIFT
+        return layout.NO_SIGN
+    return layout.SIGN_FOR_SHIFT

@@ -10,6 +10,7 @@ neither is so, and the ground would be steep. Below the lowest ground so far suc
 
 import math
 
+from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
@@ -76,6 +77,11 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
         begin_descent(adaptive, tool_z_m, descent.reach_m)
         descent.unexplained = 0
         return 0.0
+    # an outlier counts as one of three mean deviations; so does, at first, a range whose noise has grown
+    most_m = mean_range.BAND_SIGMAS * max(descent.scatter_m, range_noise_m(adaptive.noise))
+    deviation_m = min(max(range_m - descent.range_m, -most_m), most_m)
+    descent.scatter_m += (abs(deviation_m) - descent.scatter_m) / (ERROR_MEANS * number)
+    range_m = descent.range_m + deviation_m
     fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
     descent.range_m += (range_m - descent.range_m) / number
     descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)

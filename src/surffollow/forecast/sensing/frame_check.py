@@ -21,15 +21,8 @@ from surffollow.forecast.sensing.constant_ranges import MIN_MEANS
 from surffollow.forecast.sensing.kinematics import is_at_rest
 from surffollow.forecast.sensing.response import answer_s
 from surffollow.forecast.sensing.sample_hold import count_m
+from surffollow.shm import layout_adaptive_sensing as layout
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_sensing import (
-    FRAME_HELD,
-    FRAME_LIFTED,
-    FRAME_LOWERED,
-    FRAME_REVERSED,
-    FRAME_RIGHT,
-    FRAME_UNKNOWN,
-)
 
 MOTION_SIGMAS = 6.0  # of noise in D, over which a hundred ranges spread
 MOTION_COUNTS = 4.0  # of a coarse sensor in D, which has two of them in half of it
@@ -61,23 +54,23 @@ def _decide(params, adaptive, t_ns, range_m, tool_z_m):
     answers = (t_ns - frame.begun_ns) * 1e-9 / answer_s(adaptive, MIN_MEANS)  # times of an answer
     obeyed = answers > 1.0 and abs(tool_z_m - frame.setpoint_m) < least_m
     if moved and difference_m < STAYS * sum_m:
-        frame.phase = FRAME_RIGHT
-    elif frame.phase == FRAME_HELD:
+        frame.phase = layout.FRAME_RIGHT
+    elif frame.phase == layout.FRAME_HELD:
         if obeyed:
             frame.setpoint_m = tool_z_m + LIFT * least_m
-            _begin_window(frame, FRAME_LIFTED, t_ns, range_m, tool_z_m)
+            _begin_window(frame, layout.FRAME_LIFTED, t_ns, range_m, tool_z_m)
         elif answers > 2.0 or sum_m > least_m:
-            _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
-    elif frame.phase in (FRAME_LIFTED, FRAME_LOWERED):
+            _begin_window(frame, layout.FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
+    elif frame.phase in (layout.FRAME_LIFTED, layout.FRAME_LOWERED):
         if moved and obeyed and sum_m < STAYS * difference_m:
-            next_phase = FRAME_LOWERED if frame.phase == FRAME_LIFTED else FRAME_REVERSED
+            next_phase = layout.FRAME_LOWERED if frame.phase == layout.FRAME_LIFTED else layout.FRAME_REVERSED
             frame.setpoint_m -= LIFT * least_m
             _begin_window(frame, next_phase, t_ns, range_m, tool_z_m)
         elif answers > 1.0:
-            _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
+            _begin_window(frame, layout.FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
     elif moved and sum_m < LOOKS_REVERSED * difference_m:
         frame.setpoint_m = tool_z_m
-        _begin_window(frame, FRAME_HELD, t_ns, range_m, tool_z_m)
+        _begin_window(frame, layout.FRAME_HELD, t_ns, range_m, tool_z_m)
 
 
 @jit_inlined
@@ -93,12 +86,12 @@ def observe_frame(params, adaptive, close, t_ns, range_m, tool_z_m):
     tool_z_m : float64  height of the tool at that time [m]
     """
     frame = adaptive.frame
-    if frame.phase >= FRAME_RIGHT:
+    if frame.phase >= layout.FRAME_RIGHT:
         return
     aside = abs(adaptive.sample.lead_m) >= APART_M and not is_at_rest(adaptive.kinematics)
     begins = close or aside or frame.begun_ns == 0 or t_ns <= frame.begun_ns
     if begins or frame.begun_ns < adaptive.kinematics.jump_ns <= t_ns:
-        _begin_window(frame, FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
+        _begin_window(frame, layout.FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
         return
     for k, value_m in enumerate((tool_z_m, range_m - tool_z_m, range_m + tool_z_m)):
         frame.least_m[k], frame.most_m[k] = min(frame.least_m[k], value_m), max(frame.most_m[k], value_m)
@@ -108,10 +101,10 @@ def observe_frame(params, adaptive, close, t_ns, range_m, tool_z_m):
 @jit
 def is_reversed(frame):
     """Whether the range shrinks when the tool rises."""
-    return frame.phase == FRAME_REVERSED
+    return frame.phase == layout.FRAME_REVERSED
 
 
 @jit
 def moves_to_check(frame):
     """Whether the tool is held, lifted or lowered by the check, to `frame.setpoint_m`."""
-    return FRAME_HELD <= frame.phase <= FRAME_LOWERED
+    return layout.FRAME_HELD <= frame.phase <= layout.FRAME_LOWERED

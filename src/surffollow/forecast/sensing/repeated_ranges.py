@@ -1,40 +1,60 @@
 """Ranges in a row that repeat the first of them: some sensors hold ranges, or repeat the last on a loss."""
 
-from surffollow.forecast.estimation.innovation_gate import gate_width
+import math
+
 from surffollow.forecast.estimation.noise import MIN_NOISE_M, estimated_range_noise_m
 from surffollow.forecast.quantities import REPEAT_BAND
-from surffollow.forecast.sensing.mean_range import MAX_READINGS, RUN_SAMPLES, range_band_m
+from surffollow.forecast.sensing.mean_range import MAX_READINGS, RUN_SAMPLES, range_band_m, range_sigma_m
+from surffollow.forecast.sensing.sample_hold import count_m
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
+LEAST_CHANCE = 1e-3  # of so many repeats in a row
+NEAR_CHANCE = 0.14  # of a range that lies within REPEAT_BAND of another one
 REPEAT_RATIO = 2.0  # in usual runs of repeated ranges: a longer one, of a mean at least, is a sign of a fault
 
 
 @jit
-def count_repeats(params, adaptive, range_m, tool_z_m):
-    """Count repeated ranges, and whether the newest one is of use; update the usual number of a good sensor.
+def _learn_usual(usual, number):
+    """Usual number of ranges in a run after one more run: a longer run is learned soon, but not at once."""
+    more = number - usual
+    return usual + more / (RUN_SAMPLES if more < 0.0 else MAX_READINGS)
 
-    Repeats that end with an outlier may have been a loss, unless they are frequent: some sensors hold ranges.
+
+@jit
+def count_repeats(adaptive, range_m, tool_z_m):
+    """Count ranges that repeat the first of them, and decide whether the newest one is of use.
+
+    It is not when so many are no chance, and the tool moves or is about to. Two ranges with the noise σ
+    differ by less than half a count q with the probability q / (2 √π σ): few that are equal suffice. The
+    usual numbers are learned: some sensors hold each range for a while.
 
     Parameters
     ----------
-    params, adaptive : records of `Params`, `AdaptiveState` (`repeats` updated)
+    adaptive : record of `AdaptiveState` (`repeats` updated)
     range_m : float64   range [m]
     tool_z_m : float64  height of the tool at its time [m]
     """
-    repeats, sigma_m = adaptive.repeats, estimated_range_noise_m(adaptive.noise)
-    change_m = abs(range_m - repeats.range_m)
-    if repeats.count == 0 or change_m > REPEAT_BAND * sigma_m:
-        more, outlier = repeats.count - repeats.usual, change_m > gate_width(params, adaptive)
+    repeats, sigma_m, resolution_m = adaptive.repeats, range_sigma_m(adaptive), count_m(adaptive.hold)
+    setpoint_m, change_m = adaptive.setpoint.position_m, abs(range_m - repeats.range_m)
+    if repeats.count == 0 or change_m > REPEAT_BAND * estimated_range_noise_m(adaptive.noise):
         if adaptive.response.phase == RESPONSE_RUN:
-            repeats.usual += more / (RUN_SAMPLES if more < 0.0 else 8.0 if outlier else 1.0)
-        repeats.count, repeats.range_m, repeats.tool_z_m, repeats.unused = 1, range_m, tool_z_m, 0
+            repeats.usual = _learn_usual(repeats.usual, repeats.count)
+            repeats.usual_equal = _learn_usual(repeats.usual_equal, repeats.equal)
+        repeats.count = repeats.equal = 1
+        repeats.unused, repeats.chance = 0, 1.0
+        repeats.range_m, repeats.tool_z_m, repeats.setpoint_m = range_m, tool_z_m, setpoint_m
         return
     repeats.count += 1
-    # chance makes four of a row now and then; without noise, or before it is known, ranges stay for long
-    often = repeats.count >= max(REPEAT_RATIO * repeats.usual, 5.0) and sigma_m > MIN_NOISE_M
-    known = adaptive.weights.scored > 100 and repeats.usual > 0.0
-    if often and known and abs(tool_z_m - repeats.tool_z_m) > range_band_m(adaptive):
+    repeats.equal += 1 if change_m == 0.0 else 0
+    equal_chance = min(0.5 / math.sqrt(math.pi) * resolution_m / sigma_m, 1.0)
+    repeats.chance *= equal_chance if change_m == 0.0 else NEAR_CHANCE
+    near, held = REPEAT_RATIO * repeats.usual, REPEAT_RATIO * repeats.usual_equal
+    often = repeats.chance < LEAST_CHANCE and (repeats.count >= near or repeats.equal >= held)
+    # before the noise is known ranges may stay for long
+    known = adaptive.weights.scored > 100 and estimated_range_noise_m(adaptive.noise) > MIN_NOISE_M
+    moved_m = max(abs(tool_z_m - repeats.tool_z_m), abs(setpoint_m - repeats.setpoint_m))
+    if often and known and moved_m > range_band_m(adaptive):
         repeats.unused = 1
 
 

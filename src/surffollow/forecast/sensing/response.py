@@ -10,21 +10,12 @@ A descent in which the range varies, and that it does not explain (`descent`), i
 must then change by more than it varied.
 """
 
-from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.quantities import APART_M, tolerated_gap_s
 from surffollow.forecast.sensing import constant_ranges, mean_range
 from surffollow.forecast.sensing.constant_ranges import MAX_DESCENT, MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
+from surffollow.shm import layout_adaptive_sensing as layout
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_sensing import (
-    NO_SIGN,
-    RESPONSE_FAILED,
-    RESPONSE_HOLD,
-    RESPONSE_LIFT,
-    RESPONSE_RUN,
-    SIGN_FOR_HOLD,
-    SIGN_FOR_SHIFT,
-)
 
 STEEP = 0.5  # of the stand-off: a descent that goes farther in the time of an answer is steep
 ASCENT_SHARE = 0.25  # of an ascent counts
@@ -43,7 +34,7 @@ def _begin_run(params, adaptive, tool_z_m, range_m):
     """Begin a run of constant ranges with this mean, without a test."""
     response = adaptive.response
     constant_ranges.begin_run(params, adaptive, tool_z_m, range_m)
-    response.phase, response.lift_m, response.swing_m = RESPONSE_RUN, 0.0, 0.0
+    response.phase, response.lift_m, response.swing_m = layout.RESPONSE_RUN, 0.0, 0.0
 
 
 @jit
@@ -67,7 +58,7 @@ def _begin_lift(params, adaptive, tool_z_m, lift_m):
     """
     response, run, standoff_m = adaptive.response, adaptive.run, params.offset_m
     response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
-    _begin_phase(response, RESPONSE_LIFT, tool_z_m)
+    _begin_phase(response, layout.RESPONSE_LIFT, tool_z_m)
     response.lift_m = response.missing_m = lift_m
     begun_z_m = run.low_z_m if response.rises != 0 else run.top_z_m
     room_m = params.range_max_m - run.range_m
@@ -114,18 +105,18 @@ def _update_run(params, adaptive, tool_z_m):
     stop_s, least_m = adaptive.latency.delay_s + tau_s, MOTION_BANDS * band_m
     if returns:
         least_m = max(least_m, constant_ranges.proven_descent_m(params, adaptive, wait_s + stop_s, sparse))
-        sign = SIGN_FOR_SHIFT if descent > least_m else NO_SIGN
+        sign = layout.SIGN_FOR_SHIFT if descent > least_m else layout.NO_SIGN
     if response.t_ns < response.settled_ns and not repeated:
-        sign = NO_SIGN
+        sign = layout.NO_SIGN
     if returns and not sparse:
         means *= 2.0  # a tool that comes back shortens the range meanwhile: that is an answer without a test
     if run.samples <= means * number or (rises and sparse and not repeated):
         return
     response.rises = 1 if rises else 0
     far = not sparse and descent + run.rate_mps * stop_s > MAX_DESCENT * params.offset_m
-    long = sign != NO_SIGN and run.samples > 2.0 * MIN_MEANS * number
+    long = sign != layout.NO_SIGN and run.samples > 2.0 * MIN_MEANS * number
     if response.lift_m == 0.0 and (long or ((steep or returns) and descent > least_m)):
-        _begin_phase(response, RESPONSE_RUN, tool_z_m)
+        _begin_phase(response, layout.RESPONSE_RUN, tool_z_m)
         response.lift_m = (1.0 if steep else 0.5) * MOTION_BANDS * band_m
         begun_ns = response.t_ns - int(1e9 * run.samples * adaptive.prediction.interval_s)
         below = abs(adaptive.sample.lead_m) < APART_M  # the range of a lead has the slope in it
@@ -138,8 +129,8 @@ def _update_run(params, adaptive, tool_z_m):
         if late:  # the greater shift stands out from the lag of the axis
             lift_m = response.lift_m + MOTION_BANDS * band_m + tau_s * run.rate_mps
             _begin_lift(params, adaptive, tool_z_m, lift_m)
-    elif late or far or sign == SIGN_FOR_HOLD:
-        _begin_phase(response, RESPONSE_HOLD, tool_z_m)
+    elif late or far or sign == layout.SIGN_FOR_HOLD:
+        _begin_phase(response, layout.RESPONSE_HOLD, tool_z_m)
 
 
 @jit
@@ -148,7 +139,7 @@ def _test_descent(params, adaptive, tool_z_m, spread_m):
     response, descent = adaptive.response, adaptive.descent
     _begin_run(params, adaptive, tool_z_m, 0.5 * (descent.most_m + descent.least_m))
     response.swing_m, response.rises = spread_m, 0
-    _begin_phase(response, RESPONSE_HOLD, tool_z_m)
+    _begin_phase(response, layout.RESPONSE_HOLD, tool_z_m)
 
 
 @jit
@@ -185,7 +176,7 @@ def _update_test(params, adaptive, tool_z_m):
     late_s = (response.t_ns - response.test_ns) * 1e-9 - answer_s(adaptive, MIN_MEANS)
     if late_s <= (longest_s if rises else 0.0):
         return
-    if response.phase == RESPONSE_HOLD:
+    if response.phase == layout.RESPONSE_HOLD:
         lift_m = max(MOTION_BANDS * mean_range.range_band_m(adaptive), SWINGS[1] * response.swing_m)
         _begin_lift(params, adaptive, tool_z_m, lift_m)
         return
@@ -197,7 +188,7 @@ def _update_test(params, adaptive, tool_z_m):
         obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * adaptive.run.rate_mps
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
     if is_repeated(adaptive.repeats) or (applied and obeyed):
-        response.phase = RESPONSE_FAILED
+        response.phase = layout.RESPONSE_FAILED
     elif late_s > longest_s:
         _begin_run(params, adaptive, tool_z_m, adaptive.run.mean_m)
 
@@ -213,7 +204,7 @@ def _answer_m(adaptive):
 def _responds(adaptive):
     """Whether the mean range has left the band of the run; in a test a wider one."""
     change_m = abs(adaptive.run.mean_m - adaptive.run.range_m)
-    if adaptive.response.phase != RESPONSE_RUN:
+    if adaptive.response.phase != layout.RESPONSE_RUN:
         return change_m > _answer_m(adaptive)
     return change_m > max(adaptive.run.band_m, mean_range.range_band_m(adaptive))
 
@@ -226,10 +217,10 @@ def _note_answer(adaptive, deviation_m):
     shorter range: where the ground falls, a test makes it longer.
     """
     response, mean_s = adaptive.response, mean_range.mean_samples(adaptive) * adaptive.prediction.interval_s
-    if response.phase == RESPONSE_RUN and response.lift_m == 0.0:
+    if response.phase == layout.RESPONSE_RUN and response.lift_m == 0.0:
         return
     response.settled_ns = response.t_ns + int(1e9 * answer_s(adaptive, 1.0))
-    moved_m = mean_range.BAND_SIGMAS * range_noise_m(adaptive.noise) + adaptive.run.rate_mps * mean_s
+    moved_m = mean_range.BAND_SIGMAS * mean_range.range_sigma_m(adaptive) + adaptive.run.rate_mps * mean_s
     mean_m, proven_m = adaptive.run.mean_m, response.proven_m
     proven_m = mean_m if mean_m > adaptive.run.range_m else min(proven_m, mean_m)
     response.proven_m = proven_m if response.rises == 0 and deviation_m <= moved_m else 0.0
@@ -247,16 +238,16 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     tool_z_m : float64  height of the tool at that time [m]
     spread_m : float64  half the spread of the ranges in a descent that is to be tested [m]; 0: none
     """
-    response, sigma_m = adaptive.response, range_noise_m(adaptive.noise)
+    response, sigma_m = adaptive.response, mean_range.range_sigma_m(adaptive)
     noise_m = mean_range.BAND_SIGMAS * sigma_m
     begins = response.t_ns == 0 or t_ns < response.t_ns
     if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s):
         response.test_ns = t_ns  # an answer takes time with samples
-        if response.phase == RESPONSE_RUN:
+        if response.phase == layout.RESPONSE_RUN:
             response.test_z_m = tool_z_m
     response.t_ns = t_ns
-    count_repeats(params, adaptive, range_m, tool_z_m)
-    in_run, most_m = response.phase == RESPONSE_RUN, noise_m
+    count_repeats(adaptive, range_m, tool_z_m)
+    in_run, most_m = response.phase == layout.RESPONSE_RUN, noise_m
     if constant_ranges.moves_tool(response):  # in a test two samples answer, one does not
         most_m = mean_range.mean_samples(adaptive) * mean_range.range_band_m(adaptive)
     constant_ranges.update_mean(adaptive, range_m, sigma_m, max(most_m, SWINGS[0] * response.swing_m))
@@ -274,11 +265,11 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
         _test_descent(params, adaptive, tool_z_m, spread_m)
     elif in_run:
         _update_run(params, adaptive, tool_z_m)
-    elif response.phase != RESPONSE_FAILED:
+    elif response.phase != layout.RESPONSE_FAILED:
         _update_test(params, adaptive, tool_z_m)
 
 
 @jit
 def is_unresponsive(response):
     """Whether the range did not follow a test, and has not changed since."""
-    return response.phase == RESPONSE_FAILED
+    return response.phase == layout.RESPONSE_FAILED
