@@ -116,6 +116,7 @@ KINDS = {
     "mostly lost": Kind((0.5, 0.95), (2.0, 2.0), slope=(0.0, 0.2), interval_ms=(READING_MS, 30)),
     "near outliers": Kind((5e-3, 40e-3), (2.0, 2.0), slope=(0.0, 0.2), interval_ms=(READING_MS, 60)),
     "far outliers": Kind((5e-3, 40e-3), (2.0, 2.0), slope=(0.0, 0.2), interval_ms=(READING_MS, 60)),
+    "held": Kind(length_s=(0.05, 0.5), slope=(0.0, 0.4), interval_ms=(READING_MS, 60)),
     "sluggish axis": Kind(slope=(0.0, 0.4), interval_ms=(READING_MS, 60), lag=(1.0, 5.0)),
     "sluggish axis of three": Kind(
         slope=(0.0, 0.3), interval_ms=(READING_MS, 30), lag=(1.0, 5.0), mounts_m=THREE

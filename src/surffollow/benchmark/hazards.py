@@ -102,6 +102,8 @@ def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> flo
     n = float(rng.standard_normal()) if s.family in NOISY else 0.0
     if s.family in ("stuck", "leading frozen", "all stuck", "one of four"):
         return held + s.size_m + COUNT_M * int(rng.integers(0, 2))
+    if s.family == "held":
+        return held
     if s.family in NOISY:  # something moves with the sensor; less noise than usual
         return held + (s.size_m * n if s.family.startswith("frozen") else s.size_m + SIGMA_M * n)
     if s.family in ("biased", "near", "leading wrong", "two of four"):
