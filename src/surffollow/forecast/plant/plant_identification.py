@@ -173,7 +173,10 @@ def update_plant(params, adaptive, sense, inputs):
     limit = params.plant_v_max_mps
     plant.axis_m += AXIS_GAINS[0] * e
     plant.axis_mps = min(max(plant.axis_mps + AXIS_GAINS[1] * e, -limit), limit)
-    plant.disturbance_mps = min(max(plant.disturbance_mps + AXIS_GAINS[2] * e, -limit), limit)
+    # a tool that stays where its axis would move at full speed does not obey: no wind explains that
+    wish = axis_model.axis_velocity(setpoint_in_force(plant, t) - z, plant.tau_s, params.plant_a_max_mps2)
+    if abs(wish) < limit:
+        plant.disturbance_mps = min(max(plant.disturbance_mps + AXIS_GAINS[2] * e, -limit), limit)
     plant.offset_m = z - plant.axis_m
     plant.mean_m += SLOW_RATE * (e - plant.mean_m)
     plant.spread_m += SLOW_RATE * (abs(e) - plant.spread_m)
