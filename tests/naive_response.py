@@ -71,10 +71,9 @@ class NaiveResponse:
     def _count_repeats(self, range_m: float, z_m: float) -> None:
         if self.repeats > 0 and abs(range_m - self.repeated_m) <= REPEAT_BAND * self.noise_m:
             self.repeats += 1
-            equals = range_m == self.repeated_m
-            self.equal += equals
-            chance = min(1.0, self.count_m / (2.0 * math.sqrt(math.pi) * self.sigma_m))
-            self.chance *= chance if equals else 0.14
+            if range_m == self.repeated_m:
+                self.equal += 1
+                self.chance *= min(1.0, self.count_m / (2.0 * math.sqrt(math.pi) * self.sigma_m))
             return
         self.chance = 1.0
         if self.phase == RUN:
@@ -127,10 +126,12 @@ class NaiveResponse:
         self.in_run += 1
         if self.swing_m == 0.0 and self.number < self.in_run < m.RUN_SAMPLES:
             self.run_m += (self.mean_m - self.run_m) / self.in_run
-        near = self.repeats >= REPEAT_RATIO * self.usual_repeats
-        often = self.chance < LEAST_CHANCE and (near or self.equal >= REPEAT_RATIO * self.usual_equal)
-        moved_m = max(abs(z_m - self.repeated_z_m), abs(self.setpoint_m - self.repeated_setpoint_m))
-        moved = often and moved_m > self.band_m
+        moved_m = abs(z_m - self.repeated_z_m)
+        led_m = max(moved_m, abs(self.setpoint_m - self.repeated_setpoint_m))
+        fine = self.count_m < REPEAT_BAND * self.sigma_m
+        near = fine and self.repeats >= max(5, REPEAT_RATIO * self.usual_repeats) and moved_m > self.band_m
+        rare = self.equal >= REPEAT_RATIO * self.usual_equal and self.chance < LEAST_CHANCE
+        moved = near or (rare and led_m > self.band_m)
         self.unused = self.repeats > 1 and (self.unused or moved)
         allowed_m = self.band_m if begins else max(self.band_m, self.begun_band_m)
         self.answer_m = max(m.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)

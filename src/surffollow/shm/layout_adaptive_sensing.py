@@ -163,7 +163,7 @@ class Repeats(Schema):
     usual = F64(doc="longest such run lately")
     equal = I64(doc="how many of them equal the first, which counts")
     usual_equal = F64(doc="most of these lately")
-    chance = F64(doc="probability that noise makes such a run")
+    chance = F64(doc="probability that noise makes so many equal")
     unused = I64(doc="1: the newest range repeats although the tool has moved, and is not used")
 
 

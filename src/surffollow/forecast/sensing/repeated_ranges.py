@@ -9,8 +9,9 @@ from surffollow.forecast.sensing.sample_hold import count_m
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
-LEAST_CHANCE = 1e-3  # of so many repeats in a row
-NEAR_CHANCE = 0.14  # of a range that lies within REPEAT_BAND of another one
+# of so many equal ranges in a row: at 250 Hz once in 400 s, and the tool must be about to move just then
+LEAST_CHANCE = 1e-5
+LEAST_REPEATS = 5.0  # in a row, near each other
 REPEAT_RATIO = 2.0  # in usual runs of repeated ranges: a longer one, of a mean at least, is a sign of a fault
 
 
@@ -25,9 +26,9 @@ def _learn_usual(usual, number):
 def count_repeats(adaptive, range_m, tool_z_m):
     """Count ranges that repeat the first of them, and decide whether the newest one is of use.
 
-    It is not when so many are no chance, and the tool moves or is about to. Two ranges with the noise σ
-    differ by less than half a count q with the probability q / (2 √π σ): few that are equal suffice. The
-    usual numbers are learned: some sensors hold each range for a while.
+    It is not when the tool has moved meanwhile. Two ranges with the noise σ differ by less than half a count
+    q with the probability q / (2 √π σ). So few that are exactly equal suffice, when the tool is about to
+    move. The usual numbers are learned: some sensors hold each range for a while.
 
     Parameters
     ----------
@@ -46,15 +47,17 @@ def count_repeats(adaptive, range_m, tool_z_m):
         repeats.range_m, repeats.tool_z_m, repeats.setpoint_m = range_m, tool_z_m, setpoint_m
         return
     repeats.count += 1
-    repeats.equal += 1 if change_m == 0.0 else 0
-    equal_chance = min(0.5 / math.sqrt(math.pi) * resolution_m / sigma_m, 1.0)
-    repeats.chance *= equal_chance if change_m == 0.0 else NEAR_CHANCE
-    near, held = REPEAT_RATIO * repeats.usual, REPEAT_RATIO * repeats.usual_equal
-    often = repeats.chance < LEAST_CHANCE and (repeats.count >= near or repeats.equal >= held)
+    if change_m == 0.0:
+        repeats.equal += 1
+        repeats.chance *= min(0.5 / math.sqrt(math.pi) * resolution_m / sigma_m, 1.0)
     # before the noise is known ranges may stay for long
     known = adaptive.weights.scored > 100 and estimated_range_noise_m(adaptive.noise) > MIN_NOISE_M
-    moved_m = max(abs(tool_z_m - repeats.tool_z_m), abs(setpoint_m - repeats.setpoint_m))
-    if often and known and moved_m > range_band_m(adaptive):
+    moved_m, led_m = abs(tool_z_m - repeats.tool_z_m), abs(setpoint_m - repeats.setpoint_m)
+    # chance makes four of a row near each other now and then; counts of a coarse sensor are all that near
+    often = repeats.count >= max(REPEAT_RATIO * repeats.usual, LEAST_REPEATS)
+    near = often and moved_m > range_band_m(adaptive) and resolution_m < REPEAT_BAND * sigma_m
+    held = repeats.equal >= REPEAT_RATIO * repeats.usual_equal and repeats.chance < LEAST_CHANCE
+    if known and (near or (held and max(moved_m, led_m) > range_band_m(adaptive))):
         repeats.unused = 1
 
 
