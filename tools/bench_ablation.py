@@ -191,7 +191,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "shift before a steep hold": [("response", "STEEP = 0.5", "STEEP = 1e9")],
     "shift before a hold": [("constant_ranges", "SHIFT_DESCENT = 0.25", "SHIFT_DESCENT = 1e9")],
-    "repeated ranges": [("repeated_ranges", "if known and (near or", "if False and (near or")],
+    "repeated ranges": [("repeated_ranges", "if repeats.count == 0 or", "if True or")],
 }
 
 

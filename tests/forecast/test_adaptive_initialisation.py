@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surffollow.follower import Follower
-from surffollow.forecast.estimation.estimate import update_estimate
+from surffollow.forecast.estimation.estimate import reset_estimate, update_estimate
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.dtypes import zeros
@@ -96,6 +96,16 @@ def take(a, count, adapt, jump=0.0, start=1, seed=3):
     for k in range(count):
         h = rng.normal(0.0, 5e-5) + (jump if k == 0 else 0.0)
         update_estimate(params, a, 10**9 + (start + k) * 4 * MS, 1e-3, h, 0.1)
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+def test_a_start_behind_bad_samples_alone_forgets_their_slopes(fresh):
+    """GIVEN slopes of bad samples WHEN nothing else is known THEN they do not widen the clamp."""
+    a, _ = feed(0.5e-3 * np.arange(400))
+    estimate = a["estimate"]
+    assert min(estimate["slope_power"], estimate["quick_slope_power"]) > 0.01
+    reset_estimate(default_params(), a, 10**10, 0.0, 0.0, 0.1, fresh)
+    assert (max(estimate["slope_power"], estimate["quick_slope_power"]) == 0.0) == fresh
 
 
 @pytest.mark.parametrize("adapt", [0, 1])

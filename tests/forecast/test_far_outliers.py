@@ -25,8 +25,7 @@ def test_readings_that_are_too_far_do_not_lift_the_tool(share):
         ground = lambda x, t, w=waves: sum(a * math.sin(6.28 * x / length + p) for a, length, p in w)  # noqa: E731
 
         def read(t, r, rng):
-            far = rng.uniform(1.2, 2.2) if t > 2.0 and rng.random() < share else 1.0
-            return far * r + 0.5e-3 * rng.standard_normal()
+            return r * (rng.uniform(1.2, 2.2) if t > 2.0 and rng.random() < share else 1.0)
 
         run = follow(CRAWLER, ground, 25.0, 0.083, misread=read, seed=seed)
         highest.append(run.clearance_m.max() / CRAWLER.standoff_m)

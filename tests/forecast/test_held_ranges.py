@@ -24,8 +24,7 @@ class Holding:
 
     def __call__(self, t: float, range_m: float, rng) -> float:
         if not any(begin <= t < end for begin, end in self.holds):
-            noisy = range_m + BOOM.sigma_m * rng.standard_normal()
-            self.last = self.count_m * round(noisy / self.count_m)
+            self.last = self.count_m * round(range_m / self.count_m)
         return self.last
 
 

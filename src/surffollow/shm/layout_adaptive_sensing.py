@@ -13,7 +13,8 @@ class Clock(Schema):
     now_ns = I64(unit="ns", doc="latest timestamp of steps and poses")
 
 
-# a jump of the reported position: a sample from behind it was accepted; none after one aside, after one up
+# of the newest jump of the reported position: a sample from behind it was accepted, or none was since a jump
+# of x and y, or of the height
 JUMP_SEEN, JUMP_ASIDE, JUMP_UP = range(3)
 
 
