@@ -217,7 +217,8 @@ class NaiveResponse:
             came_back = t_ns - int(1e9 * self.in_run * self.interval_s) < self.settled_ns
             if came_back and not rises and not ahead:
                 self.lift_m += max(self.run_m - self.standoff_m, 0.0)
-            self.shift_z_m, self.shift_lead_m = z_m, self._lead_m(z_m)
+            self.shift_z_m, self.shift_lead_m, self.rose = z_m, self._lead_m(z_m), rises
+            self.highest_m = self._ceiling_m(z_m)
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > wait_s
         self.rose = rises
         if rises and unanswered:
@@ -233,12 +234,15 @@ class NaiveResponse:
         self.lead_before_m = self._lead_m(z_m) - self.lift_m
         self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
         self.lift_m = self.misses_m = lift_m
+        self.highest_m = self._ceiling_m(z_m)
+
+    def _ceiling_m(self, z_m: float) -> float:
+        """Two lifts and what the run climbs in an answer, within the window; over ground that is level."""
         sees_m = self.far_m - self.run_m
         sees_m = sees_m - 0.5 * self.standoff_m if sees_m > self.standoff_m else sees_m / 2.0
         sees_m += self.low_z_m if self.rose else self.top_z_m
         rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps) if self.rates_mps else 0.0
-        needs_m = z_m + lift_m + rate_mps * self.answer_s
-        self.highest_m = max(needs_m, min(sees_m, z_m + 3.0 * self.standoff_m))
+        return min(z_m + 2.0 * self.lift_m + rate_mps * self.answer_s, max(sees_m, z_m + self.lift_m))
 
     def _lead_m(self, z_m: float) -> float:
         return self.setpoint_m - z_m - self.climb_mps * (self.tau_s + self.delay_s)
@@ -266,6 +270,8 @@ class NaiveResponse:
 
     def target_in_test_m(self, target_m: float) -> float:
         """The target, shifted up in a long run or in the test of an ascent, or what a test asks for."""
+        if self.phase == RUN and self.shift_ns is not None and self.rose:
+            return min(target_m + self.lift_m, self.highest_m)
         if self.phase == RUN:
             shifted = self.shift_ns is not None and not self.rose
             rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps) if shifted else 0.0

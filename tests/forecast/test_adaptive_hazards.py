@@ -194,6 +194,13 @@ def test_after_a_jump_of_the_height_the_estimate_begins_anew():
     assert ours.clearance_m > plain.clearance_m - 2e-3
 
 
+def test_behind_a_jump_of_the_height_no_ceiling_of_before_holds():
+    """GIVEN a test of the sensor WHEN the reported height jumps up THEN no ceiling leads the tool down."""
+    scenario = draw("height jump", 1740037)
+    ours, plain = play(follower(), scenario), play(PLoop(), scenario)
+    assert shortfall_m(plain.clearance_m, ours.clearance_m) < BELOW_P_M
+
+
 @pytest.mark.parametrize("seed", [2215, 2240])
 def test_four_blocked_sensors_are_tested_by_their_mean_range(seed):
     # the range of the reference alone is noisier, and hides the fault for longer: 30 and 17 mm

@@ -115,6 +115,40 @@ def test_a_blocked_beam_of_eight_is_left_out_also_where_the_slopes_are_wrong(bea
     assert abs(distances[-200:] / STANDOFF_M - 1.0).max() < 0.1
 
 
+@pytest.mark.parametrize("n", [6, 8])
+def test_a_beam_that_slowly_reads_too_near_is_left_out(n):
+    """GIVEN level ground and a beam that drifts by 0.3 stand-offs in 6 s THEN the ring stays level.
+
+    It was taken for ground that rises, without an end: 9 degrees of tilt for good, two good beams left out.
+    """
+
+    def drifts(t, ranges, _rng):
+        return [r - 0.005 * min(max(t - 1.0, 0.0), 6.0) * (c == 1) for c, r in enumerate(ranges)]
+
+    distances, states = follow(ring(n), n * [UPRIGHT], lambda _: 0.0, 9.0, 0.05, misread=drifts)
+    tilt = math.degrees(math.acos(states[-1]["normal"][2]))
+    print(f"{n} beams: tilt {tilt:.1f} degrees, error {1e3 * (distances[-1] - STANDOFF_M):.1f} mm")
+    assert tilt < 1.0
+    assert abs(distances[-100:] / STANDOFF_M - 1.0).max() < 0.02
+    assert states[-1]["health"] == "SUSPECT"
+    assert "channel 1" in states[-1]["reason"]
+
+
+def test_beams_at_nearly_one_distance_from_the_axis_give_no_curvature():
+    """GIVEN a hexagon of 26 and 30 mm, mounted 1 mm too high and too low by turns THEN the ground is level.
+
+    The curvature was a quotient of two small numbers: 0.07 stand-offs too low for good, health OK.
+    """
+    places = [(x * r, y * r, 0.0) for (x, y, _), r in zip(ring(6, radius_m=1.0), 3 * [0.026, 0.03])]
+
+    def high_and_low(t, ranges, _rng):
+        return [r + (-1e-3 if c % 2 else 1e-3) for c, r in enumerate(ranges)]
+
+    distances, _ = follow(places, 6 * [UPRIGHT], lambda _: 0.0, 8.0, 0.05, misread=high_and_low)
+    print(f"error {1e3 * (distances[-200:].mean() - STANDOFF_M):.2f} mm")
+    assert abs(distances[-200:].mean() / STANDOFF_M - 1.0) < 0.01
+
+
 def test_a_middle_beam_makes_a_wide_ring_follow_a_pipe():
     """GIVEN a pipe of two stand-offs THEN the beams of a square disagree for good, with a middle one not."""
     radius_m, rms = 0.2, []

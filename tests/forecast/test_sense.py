@@ -9,6 +9,7 @@ import pytest
 
 from forecast.driving import MS, Kernel, default_params
 from surffollow.shm.conversion import FLAG_INVALID
+from surffollow.shm.layout_follow import MODE_ADAPTIVE
 
 T = 10_000 * MS
 SCALE, ZERO = 0.1016 / 4095, 0.0508
@@ -40,6 +41,18 @@ def test_the_window_spans_cycles():
     for cycle in range(3):
         k.step(T + cycle * MS, conversions=counts(3))
         assert sensed(k)["fresh"][0] == (1 if cycle == 2 else 0)
+
+
+def test_a_slow_sensor_has_a_reading_behind_one_that_it_missed():
+    """GIVEN a conversion per step, one of them a loss THEN the distance is missing in that step alone.
+
+    It was missing until seven came in a row: 3.5 s at 2 Hz, with the demand VALID.
+    """
+    k = Kernel(default_params(sensor_readings=7, mode=MODE_ADAPTIVE))
+    for cycle in range(20):
+        flag = FLAG_INVALID if cycle == 10 else 0
+        o = k.step(T + cycle * 500 * MS, conversions=[(-1, 0, flag, 2000)])
+        assert math.isnan(o["range_m"][0]) == (cycle == 10)
 
 
 @pytest.mark.parametrize("bad", ["flag", "near limit", "far limit", "below zero", "beyond the converter"])

@@ -52,6 +52,15 @@ def test_without_a_test_and_under_a_slow_sensor_nothing_is_uncertain():
     assert uncertain_clearance(slow, False) == 0.0
 
 
+def test_silence_while_the_setpoint_is_shifted_counts_since_the_run_began():
+    """The tool had descended without a change of range, and went on to descend for the loss time-out."""
+    a = sensor_in(RESPONSE_RUN)
+    a["response"]["lift_m"], a["setpoint"]["position_m"] = 1e-3, 0.05
+    a["blend"]["tracked_m"] = 0.05
+    risen_m = SLOPE_RMS * SPEED_MPS * SAMPLES * INTERVAL_S
+    assert uncertain_clearance(a, True) == pytest.approx(0.05 + risen_m)
+
+
 @pytest.mark.parametrize("interval_s", [INTERVAL_S, 0.03], ids=["quick", "slow"])
 def test_in_silence_the_ground_may_have_risen_since_the_newest_sample(interval_s):
     a = sensor_in(RESPONSE_RUN)

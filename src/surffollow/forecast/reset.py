@@ -2,12 +2,13 @@
 
 from surffollow.forecast.attitude.rotation_response import reset_rotation
 from surffollow.forecast.estimation.estimate import discard_estimate
+from surffollow.forecast.sensing.response import restart_test
 from surffollow.forecast.setpoint.setpoint_limits import release_setpoint
 from surffollow.forecast.terrain.preview import withdraw_preview
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import DROPOUT, REASON_NO_READING
-from surffollow.shm.layout_adaptive_sensing import FRAME_UNKNOWN, RESPONSE_RUN
+from surffollow.shm.layout_adaptive_sensing import FRAME_UNKNOWN
 from surffollow.shm.layout_follow import FollowState
 
 # where the records are in `FollowState` that resets clear, and their number of words
@@ -54,7 +55,7 @@ def forget_surface(state):
     discard_estimate(adaptive.estimate)
     adaptive.estimate.confirmed_ns = 0  # the loss time-out counts from the next sample
     # the tests of the sensor begin anew with the next sample; the usual number of repeated ranges stays
-    adaptive.response.t_ns, adaptive.response.phase = 0, RESPONSE_RUN
+    restart_test(adaptive.response)
     adaptive.repeats.count = adaptive.repeats.unused = adaptive.descent.unexplained = 0
     adaptive.frame.phase, adaptive.frame.begun_ns = FRAME_UNKNOWN, 0
     reset_rotation(adaptive.rotation)

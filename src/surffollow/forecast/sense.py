@@ -61,12 +61,14 @@ def push_sample(params, sense, c, t_ns, range_m):
 
 
 @jit_inlined
-def average_windows(params, sense, least):
-    """Make a reading of every channel with a sample in this step and at least so many of them in a row.
+def average_windows(params, sense):
+    """Make a reading of every channel with a sample in this step.
 
-    It is the mean of the newest `sensor_readings` of them, or of as many as there are, stamped at the middle
-    of its samples, less the sensor's latency.
+    It is the mean of the newest `sensor_readings` samples in a row, stamped at the middle of them, less the
+    sensor's latency. The adaptive mode, which knows the noise, makes one of fewer after a loss: a slow sensor
+    that misses some would seldom give so many.
     """
+    least = 1 if params.mode == MODE_ADAPTIVE else params.sensor_readings
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             sense.missed[c] = 1
@@ -110,16 +112,14 @@ def take_conversions(params, sense, inputs):
             lose_channel(sense, c)
         else:
             push_sample(params, sense, c, inputs.t_ns + conversion.conversion_dt_ns(word), range_m)
-    average_windows(params, sense, params.sensor_readings)
+    average_windows(params, sense)
 
 
 @jit_inlined
 def take_ranges(params, sense, inputs):
     """Take distances that come ready-made (a CSV, an embedder), averaged like conversions.
 
-    NaN, or none given, is no reading in this step; a number on or outside the valid range is a loss. The
-    adaptive mode, which knows the noise, makes a reading of fewer ranges after a loss: a slow sensor that
-    misses some would seldom give `sensor_readings` in a row.
+    NaN, or none given, is no reading in this step; a number on or outside the valid range is a loss.
     """
     sense.fresh[:] = 0
     sense.valid[:] = 0
@@ -129,7 +129,7 @@ def take_ranges(params, sense, inputs):
             push_sample(params, sense, c, inputs.given_t_ns, range_m)
         elif range_m == range_m:
             lose_channel(sense, c)
-    average_windows(params, sense, 1 if params.mode == MODE_ADAPTIVE else params.sensor_readings)
+    average_windows(params, sense)
 
 
 @jit_inlined

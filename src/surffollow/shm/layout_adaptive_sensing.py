@@ -229,6 +229,7 @@ class Beams(Schema):
     accepted = I64(BEAMS, doc="1: in the plane fit")
     blocked = I64(doc="beams whose range stays while the tool's motion changes those of two others")
     old = I64(BEAMS, doc="1: the newest footprint is of another round than that of the reference")
+    outside_m = F64(BEAMS, unit="m", doc="way of the tool since the beam is nearer than the gate allows")
     outside_count = I64(BEAMS, doc="samples outside the gate minus those inside since")
     weight = F64(BEAMS, doc="weight in the plane fit")
     height_m = F64(BEAMS, unit="m", doc="height under the tool by each beam")

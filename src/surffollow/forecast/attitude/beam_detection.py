@@ -203,7 +203,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         beams.inconsistent = max(int(PAUSE_NS / interval_ns), turned) if odd < 0 else 0
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
-    good = 0
+    good, travel_m = 0, adaptive.kinematics.speed_mps * adaptive.prediction.interval_s
     for c in range(params.n_channels):
         if beams.accepted[c] == 0:
             rejected = True
@@ -213,8 +213,10 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
             rejected = not nearest - gate <= beams.height_m[c] <= nearest
         else:
             deviation = (beams.height_m[c] - median) / gate
-            # ground that rises under one beam leaves the gate gradually, a fault at once
-            rises = deviation > 0.0 and beams.deviation[c] > 0.5 and beams.outside_count[c] == 0
+            # ground that rises under one beam leaves the gate gradually, and comes to the others
+            beams.outside_m[c] = beams.outside_m[c] + travel_m if deviation > 1.0 else 0.0
+            alone = beams.outside_m[c] <= 2.0 * math.sqrt(2.0 * half_squared_distance(beams, c))
+            rises = deviation > 0.0 and beams.deviation[c] > 0.5 and beams.outside_count[c] == 0 and alone
             deviates = abs(deviation) > 1.0 and begun and not rises
             beams.deviation[c] = deviation
             count = beams.outside_count[c] + (1 if deviates else -1)

@@ -131,8 +131,8 @@ def odd_beam(adaptive, n_channels, gate_m):
 def curvature_error(adaptive, n_channels, fit):
     """Error of the mean curvature by the residuals of the plane (normalised least mean squares) [1/m].
 
-    Three beams have no residuals. A ring without a beam in the middle has a single
-    distance from the axis, and gives no curvature.
+    Three beams have no residuals. A ring without a beam in the middle has nearly one distance from the axis,
+    and gives no curvature: their spread is below 0.1 of that about zero, with a middle beam 1/n or more.
 
     Parameters
     ----------
@@ -149,4 +149,4 @@ def curvature_error(adaptive, n_channels, fit):
         total, mean_q = total + w, mean_q + w * q
         square_q, covariance = square_q + w * q * q, covariance + w * q * left
     spread = square_q - mean_q * mean_q / total
-    return covariance / spread if spread > 1e-2 * square_q else 0.0
+    return covariance / spread if spread > 0.1 * square_q else 0.0

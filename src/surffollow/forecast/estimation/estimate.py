@@ -14,11 +14,15 @@ from surffollow.forecast.estimation import (
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
-from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, MIN_DIRECTION_SPEED_MPS, is_at_rest
+from surffollow.forecast.sensing.kinematics import (
+    GROUND_SPEED_MPS,
+    MIN_DIRECTION_SPEED_MPS,
+    is_at_rest,
+    is_other_frame,
+)
 from surffollow.forecast.terrain.terrain_buffer import sensor_leads, store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, N_MODELS, PENDING_HEIGHTS, RESTART, STEP
-from surffollow.shm.layout_adaptive_sensing import JUMP_UP
 
 MAX_TRAVEL_M = 0.5  # over ground of this length without samples the estimate is of no use
 
@@ -146,10 +150,9 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     """
     gate, bank, estimate, kinematics = adaptive.gate, adaptive.bank, adaptive.estimate, adaptive.kinematics
     dt, since_accepted_ns = (t_ns - estimate.sample_ns) * 1e-9, t_ns - estimate.accepted_ns
-    other_frame = kinematics.jump == JUMP_UP and t_ns >= kinematics.jump_ns
     unseen = adaptive.health.unseen != 0 or since_accepted_ns > params.loss_timeout_ns
     outdated = travel_m > MAX_TRAVEL_M or unseen
-    if estimate.samples == 0 or outdated or other_frame:
+    if estimate.samples == 0 or outdated or is_other_frame(kinematics, t_ns):
         fresh = gate.slot_likelihood == 0.0
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh)
         return True

@@ -95,6 +95,12 @@ def see_jump(kinematics, t_ns):
 
 
 @jit
+def is_other_frame(kinematics, t_ns):
+    """Whether heights at a time are in another frame than those of the samples accepted so far."""
+    return kinematics.jump == JUMP_UP and t_ns >= kinematics.jump_ns
+
+
+@jit
 def has_jumped(adaptive):
     """Whether the reported position has jumped within the last second."""
     jump_ns = adaptive.kinematics.jump_ns

@@ -13,6 +13,7 @@ must then change by more than it varied.
 from surffollow.forecast.quantities import APART_M, tolerated_gap_s
 from surffollow.forecast.sensing import constant_ranges, mean_range
 from surffollow.forecast.sensing.constant_ranges import MAX_DESCENT, MIN_MEANS, MOTION_BANDS
+from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
 from surffollow.shm import layout_adaptive_sensing as layout
 from surffollow.shm.jit import jit, jit_inlined
@@ -24,8 +25,7 @@ SWINGS = (3.0, 4.5)
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
 # of the lift in an ascent: who misses less has obeyed. The setpoint of another tool stays ahead by all of it
 OBEYED = 0.65
-MAX_RISE = 3.0  # stand-offs that a range without response may lead the tool up in a lift …
-MARGIN = 0.5  # … and of the stand-off, kept to the end of the window for uneven ground
+MARGIN = 0.5  # of the stand-off, kept to the end of the window for uneven ground
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 
 
@@ -45,26 +45,30 @@ def _begin_phase(response, phase, tool_z_m):
 
 
 @jit
-def _begin_lift(params, adaptive, tool_z_m, lift_m):
-    """Lift the setpoint by `lift_m`, no farther than the sensor sees the ground of when the run began.
+def _ceiling_m(params, adaptive, tool_z_m, lift_m):
+    """Greatest height of the tool in a test that lifts it by `lift_m` once or twice, from a height [m].
 
-    The tool may climb in an answer as it did in the run.
-
-    Parameters
-    ----------
-    params, adaptive : records of `Params`, `AdaptiveState` (`response` updated)
-    tool_z_m : float64  height of the tool [m]
-    lift_m : float64    by which the setpoint is lifted [m]
+    It may climb in an answer as it did in the run, but no farther than the sensor sees the ground of when the
+    run began, or than that ground rises. A good sensor over rising ground answers when the tool stops there.
     """
-    response, run, standoff_m = adaptive.response, adaptive.run, params.offset_m
+    run, lasts_s, standoff_m = adaptive.run, answer_s(adaptive, MIN_MEANS), params.offset_m
+    room_m, begun_z_m = params.range_max_m - run.range_m, run.top_z_m
+    if adaptive.response.rises != 0:
+        begun_z_m = run.low_z_m
+    rise_m = max(run.slope, 0.0) * path_speed(adaptive.kinematics) * lasts_s
+    seen_z_m = begun_z_m + max(room_m - MARGIN * standoff_m, 0.5 * room_m)
+    climbed_z_m = tool_z_m + 2.0 * lift_m + run.rate_mps * lasts_s
+    return min(climbed_z_m, max(seen_z_m, tool_z_m + lift_m + rise_m))
+
+
+@jit
+def _begin_lift(params, adaptive, tool_z_m, lift_m):
+    """Lift the setpoint by `lift_m`, from the tool's height at the newest sample [m]."""
+    response = adaptive.response
     response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
     _begin_phase(response, layout.RESPONSE_LIFT, tool_z_m)
     response.lift_m = response.missing_m = lift_m
-    begun_z_m = run.low_z_m if response.rises != 0 else run.top_z_m
-    room_m = params.range_max_m - run.range_m
-    seen_z_m = begun_z_m + max(room_m - MARGIN * standoff_m, 0.5 * room_m)
-    least_z_m = tool_z_m + lift_m + run.rate_mps * answer_s(adaptive, MIN_MEANS)
-    response.ceiling_z_m = max(min(tool_z_m + MAX_RISE * standoff_m, seen_z_m), least_z_m)
+    response.ceiling_z_m = _ceiling_m(params, adaptive, tool_z_m, lift_m)
 
 
 @jit
@@ -124,6 +128,7 @@ def _update_run(params, adaptive, tool_z_m):
             # the run began while the tool came back from a test: what is left of that would hide the answer
             response.lift_m += max(run.range_m - params.offset_m, 0.0)
         response.lead_m = _excess_lead_m(adaptive, tool_z_m)
+        response.ceiling_z_m = _ceiling_m(params, adaptive, tool_z_m, response.lift_m)
     late = response.lift_m > 0.0 and (response.t_ns - response.test_ns) * 1e-9 > wait_s
     if rises:
         if late:  # the greater shift stands out from the lag of the axis
@@ -267,6 +272,12 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
         _update_run(params, adaptive, tool_z_m)
     elif response.phase != layout.RESPONSE_FAILED:
         _update_test(params, adaptive, tool_z_m)
+
+
+@jit
+def restart_test(response):
+    """Begin anew with the next sample, without a test."""
+    response.t_ns, response.phase = 0, layout.RESPONSE_RUN
 
 
 @jit

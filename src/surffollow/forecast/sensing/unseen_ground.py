@@ -3,6 +3,7 @@
 import math
 
 from surffollow.forecast.estimation.innovation_gate import is_slow
+from surffollow.forecast.sensing.constant_ranges import moves_tool
 from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
@@ -36,7 +37,7 @@ def uncertain_clearance(adaptive, silent):
     silent : bool  samples are missing
     """
     response, run, setpoint = adaptive.response, adaptive.run, adaptive.setpoint
-    tested = response.phase != RESPONSE_RUN and (silent or not is_slow(adaptive))
+    tested = moves_tool(response) and (silent or not is_slow(adaptive))
     if not tested and not silent:
         return 0.0
     begin_m, unseen_s = adaptive.blend.tracked_m, (adaptive.clock.now_ns - adaptive.hold.t_ns) * 1e-9

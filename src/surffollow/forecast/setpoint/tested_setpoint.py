@@ -40,6 +40,6 @@ def setpoint_range(adaptive, wait_s):
         lowest_m = response.test_z_m - adaptive.run.rate_mps * since_s + response.lift_m
     if response.phase in (RESPONSE_HOLD, RESPONSE_LIFT):
         lowest_m = response.test_z_m + (response.lift_m if response.rises == 0 else 0.0)
-    if response.phase in (RESPONSE_LIFT, RESPONSE_FAILED):
+    if response.phase in (RESPONSE_LIFT, RESPONSE_FAILED) or (response.lift_m > 0.0 and response.rises != 0):
         highest_m = response.ceiling_z_m
     return lowest_m, highest_m
