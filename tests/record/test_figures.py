@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from surffollow.cli.convert import convert_command, recover_command
 from surffollow.cli.plot import plot_command
 from surffollow.cli.replay import replay_command
-from surffollow.errors import MapFileError, UsageError
+from surffollow.errors import MapFileError, RecordingError, UsageError
 from surffollow.map import HeightMap
 from surffollow.map.formats.axis_labels import round_origin
-from surffollow.record import plot_recording
+from surffollow.record import plot_recording, samples
 from surffollow.record.drawn_series import MAX_ROWS, drawn_series
 from surffollow.record.figure import new_figure, outliers, save_figure, shade, spans, with_room
 from surffollow.record.latency_histogram import log_histogram
@@ -249,6 +250,27 @@ def test_replay_writes_tables_and_figures_and_nothing_in_disguise(
     refused = replay(recording, "--out", tmp_path / "x.doc")
     assert isinstance(refused.exception, UsageError)
     assert not (tmp_path / "x.doc").exists()
+
+
+def test_a_replay_whose_table_or_figure_is_not_whole_says_so(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # GIVEN a recording of which the replay reads more than the samples do
+    feed = samples.Sampler.feed
+
+    def short(self: samples.Sampler, words: np.ndarray) -> Iterator[samples.Run | samples.Event]:
+        yield from feed(self, words)
+        raise RecordingError("the word at 3 of a batch begins no entry")
+
+    monkeypatch.setattr(samples.Sampler, "feed", short)
+    for option, target in (("--out", tmp_path / "run.csv"), ("--plot", tmp_path / "run.png")):
+        words = [str(recording), option, str(target)]
+        # WHEN it is replayed with a table or a figure
+        text, report = (CliRunner().invoke(replay_command, w) for w in (words, [*words, "--json"]))
+        # THEN text, JSON and exit code say that the file written is not whole
+        assert f"NOT WHOLE: {target}: the word at 3" in text.output
+        assert str(target) in json.loads(report.output)["output_damage"][0]
+        assert (text.exit_code, report.exit_code) == (1, 1)
 
 
 def test_no_command_writes_over_what_it_reads(recording: Path, log: Path, tmp_path: Path) -> None:

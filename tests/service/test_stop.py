@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from running_service import (
     ATTACHED,
@@ -27,6 +29,7 @@ from running_service import (
 from second_user import AS_NOBODY, needs_root
 from surffollow.client import Client
 from surffollow.errors import RefusedError
+from surffollow.record.convert import convert
 from surffollow.record.replay import replay_file
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import STOPPED, VALID
@@ -260,3 +263,16 @@ def test_a_recording_with_stops_replays_to_the_same_bits(following: Service, tmp
     report = replay_file(out)
     assert report.identical, report
     assert report.events >= 4
+    # WHEN it is converted, THEN every cycle has its row
+    done = convert([out], "csv", rate_hz=0)
+    assert (done.rows, done.differing, done.damage) == (report.cycles, 0, [])
+    # THEN the channels went on while it was recorded: they end with the words, and tell of both stops
+    with open(out, "rb") as file:
+        found = list(make_reader(file).iter_messages(topics=["/state", "/log"]))
+    times = [m.publish_time for _, c, m in found if c.topic == "/state"]
+    lines = [m.data for _, c, m in found if c.topic == "/log"]
+    with open(done.files[0]) as table:
+        last_ns = int(list(csv.DictReader(table))[-1]["t_ns"])
+    assert last_ns - times[-1] < 20_000_000
+    for what in (b"stop latched: request", b"stop reset"):
+        assert sum(what in line for line in lines) == 2, what

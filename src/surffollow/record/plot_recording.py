@@ -21,8 +21,8 @@ HORIZON_S = 0.1
 _HEALTH_COLORS = (fg.GREEN, "#d8b13a", fg.ORANGE, fg.RED, "#8e44ad", fg.RED)
 
 
-def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> Path:
-    """Draw a recording; the path of the figure.
+def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> list[str]:
+    """Draw a recording; the damage of the file, of which only the whole part is drawn.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> P
         draw_latency(figure.add_subplot(grid[4, 0]), data, service)
         _draw_ground_plan(figure, figure.add_subplot(grid[4, 1]), data)
         fg.save_figure(figure, out)
-    return Path(out)
+    return data.source.damage
 
 
 def _headline(path: str | Path, data: FigureData) -> str:
