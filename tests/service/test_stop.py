@@ -194,6 +194,30 @@ def test_named_causes_stop_and_cannot_be_reset_while_they_last(make_service: Mak
         world.close()
 
 
+def test_a_clean_end_of_the_poses_holder_is_no_loss_of_it(make_service: Make) -> None:
+    # GIVEN a service that stops when the pose's holder is lost
+    s = make_service(kind="simulated")
+    s.config.write_text(s.config.read_text() + '[stop]\non = ["pose_lost"]\n')
+    s.start()
+
+    def causes_behind(end: str) -> list[str]:
+        """Causes latched behind a holder that sends a pose and ends so."""
+        with s.observe() as watcher, program(ATTACHED + end, s.name) as holder:
+            holder.wait(READY_S)
+            until(lambda: watcher.status()["main"]["clients"] == 0, "the slot is free")
+            until(lambda: watcher.status()["main"]["pose_slot"] == -1, "the pose is free")
+            return list(watcher.status()["stopped"])
+
+    # WHEN it closes, or comes to the end of its `with` block, THEN nothing is latched
+    assert causes_behind("client.close()") == []
+    assert causes_behind(f"with client:\n    client.ee_pos({POSE})") == []
+    # WHEN an exception leaves the block, or the process ends without a close, THEN the stop is
+    for end in ("with client:\n    1 / 0", "os._exit(0)"):
+        assert causes_behind(end) == ["pose_lost"], end
+        with s.attach() as driver:
+            drive(driver, lambda: _resets(driver), what="a reset")
+
+
 def test_a_service_waits_for_the_program_that_pushes_its_ranges_and_stops_when_it_ends(
     make_service: Make,
 ) -> None:
