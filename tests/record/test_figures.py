@@ -351,12 +351,17 @@ def test_shares_of_a_histogram_add_up() -> None:
     assert edges[0] <= 10.0 < 1000.0 < edges[-1]
 
 
-def test_the_forecast_is_compared_with_what_was_found_later(recording: Path) -> None:
+def test_the_forecast_is_compared_with_the_height_that_was_known_later(recording: Path) -> None:
     data = read_figure_data(recording)
     predicted, still = forecast_errors(data, 0.1)
-    ground = data.ground_m
+    height = data.rows["output"]["height_m"]
     k = int(np.flatnonzero(np.isfinite(still))[40])
-    before = np.flatnonzero(np.isfinite(ground) & (data.t_s <= data.t_s[k] - 0.1 + 1e-6))[-1]
+    found = np.isfinite(data.ground_m) & (data.t_s <= data.t_s[k] - 0.1 + 1e-6)
+    before = np.flatnonzero(found)[-1]
     o = data.rows["output"][before]
-    assert still[k] == ground[before] - ground[k]
-    assert predicted[k] == o["height_m"] + o["slope"] * o["speed_mps"] * 0.1 - ground[k]
+    assert still[k] == height[before] - height[k]
+    assert predicted[k] == o["height_m"] + o["slope"] * o["speed_mps"] * 0.1 - height[k]
+    # WHEN the target points lie elsewhere than under the tool, as with a tilted one
+    data.rows["output"]["target_m"][:, 2] += 0.05
+    # THEN the errors are the same
+    np.testing.assert_array_equal(forecast_errors(data, 0.1), (predicted, still))
