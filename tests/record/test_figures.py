@@ -21,7 +21,7 @@ from surffollow.cli.replay import replay_command
 from surffollow.errors import MapFileError, RecordingError, UsageError
 from surffollow.map import HeightMap
 from surffollow.map.formats.axis_labels import round_origin
-from surffollow.record import plot_recording, samples
+from surffollow.record import plot_recording, samples, writer
 from surffollow.record.drawn_series import MAX_ROWS, drawn_series
 from surffollow.record.figure import new_figure, outliers, save_figure, shade, spans, with_room
 from surffollow.record.latency_histogram import log_histogram
@@ -313,6 +313,19 @@ def test_a_figure_that_finds_no_room_is_reported(
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(MapFileError, match="No space left"):
         save_figure(new_figure((1.0, 1.0)), tmp_path / f"x{suffix}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_conversion_that_finds_no_room_names_the_file_asked_for(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(writer._Sink, "write", full)
+    out = tmp_path / "x.mcap"
+    done = CliRunner().invoke(convert_command, [str(recording), "--to", "foxglove", "--out", str(out)])
+    assert str(done.exception).startswith(f"cannot write {out}: the disk is full; free some space")
     assert not list(tmp_path.iterdir())
 
 
