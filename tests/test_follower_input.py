@@ -54,7 +54,9 @@ def test_none_is_no_reading():
     assert f.state()["range_m"][1] == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("t_ns", [1.0, 1.5, 1e9, np.float64(1e9), math.nan, math.inf, "1", None, 1j])
+@pytest.mark.parametrize(
+    "t_ns", [1.0, 1.5, 1e9, np.float64(1e9), math.nan, math.inf, "1", None, 1j, True, np.True_]
+)
 def test_a_time_that_is_no_whole_number_is_refused_and_the_unit_is_named(t_ns):
     f = surffollow.Follower()
     for error, call in (

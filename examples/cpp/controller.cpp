@@ -12,6 +12,7 @@
 #include <csignal>
 #include <cstdlib>
 #include <deque>
+#include <exception>
 #include <fstream>
 #include <iostream>
 #include <optional>
@@ -32,7 +33,8 @@ class Error : public std::runtime_error {
 class Robot {
  public:
   explicit Robot(const std::string &name) { check(sf_attach(&client_, name.c_str())); }
-  ~Robot() { sf_detach(&client_); }
+  // an exception that ends the program is a loss of the pose, for which the service may be configured to stop
+  ~Robot() { std::uncaught_exceptions() > 0 ? sf_forget(&client_) : sf_detach(&client_); }
   Robot(const Robot &) = delete;
   Robot &operator=(const Robot &) = delete;
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import platform
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from arbiter.arbiter_process import CONFIG
 from running_service import WAIT_S, until
 from surffollow.arbiter.config import parse_config
 from surffollow.arbiter.server import Server
+from surffollow.cli.arbiter import arbiter_group
 from surffollow.errors import NoPermissionError
 from surffollow.shm.ending_signals import ending_signals, handle_ending
 
@@ -92,6 +96,22 @@ def test_a_signal_between_the_handlers_is_not_lost(monkeypatch):
         for number, handler in before.items():
             signal.signal(number, handler)
     assert announced == []
+
+
+def test_the_status_of_a_server_that_starts_says_so():
+    """GIVEN a server that has made its board and is not ready WHEN its status is asked for THEN it starts."""
+    name = f"s{os.getpid()}"
+    server = Server(parse_config(tomllib.loads(CONFIG.replace("MORE_CLIENTS", "")) | {"name": name}))
+    try:
+        text, report = (
+            CliRunner().invoke(arbiter_group, ["status", "--name", name, *more]) for more in ((), ("--json",))
+        )
+    finally:
+        server._end(threading.Thread())
+    assert f"arbiter {name} starts, pid {os.getpid()}" in text.output
+    said = json.loads(report.output)
+    assert (said["alive"], said["starting"]) == (False, True)
+    assert (text.exit_code, report.exit_code) == (3, 3)
 
 
 def test_a_server_that_cannot_start_gives_its_descriptors_back(monkeypatch):

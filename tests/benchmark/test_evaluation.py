@@ -19,11 +19,12 @@ from running_service import WAIT_S, until
 from surffollow.benchmark import cell_runs, runner
 from surffollow.benchmark.cell_runs import run_cells
 from surffollow.benchmark.methods import all_methods, check_methods
-from surffollow.benchmark.report import markdown_table
+from surffollow.benchmark.report import markdown_table, text_table
 from surffollow.benchmark.suite import Cell, main_cells, surface_names, sweep_cells
 from surffollow.cli.benchmark import benchmark_command
 from surffollow.errors import FaultError, UsageError
 from surffollow.sim.plant import PlantConfig
+from surffollow.sim.profiles_measured import read_csv
 
 from .naive_world import make_python_p
 
@@ -252,6 +253,32 @@ def test_markdown_never_puts_two_leads_into_one_table() -> None:
     text = markdown_table([{**row, "lead_m": 0.0}, {**row, "lead_m": 0.05}])
     assert text.count("### Lead") == 2
     assert text.count("1.000 ± 0.100") == 2
+
+
+def test_a_table_has_a_dash_for_what_one_seed_does_not_have() -> None:
+    figures = dict.fromkeys(("p95_m", "peak_m", "within_1mm", "demand_accel_mps2"), 1e-3)
+    one = {"method": "p", "surface": "flat", "speed_mps": 0.1, "lead_m": 0.0, "rms_m": 1e-3, "seeds": 1}
+    one |= {**figures, "rms_ci95_m": [1e-3, 1e-3], "demand_sign_changes_per_m": 1.0, "lag_s": None}
+    two = one | {"seeds": 2, "rms_ci95_m": [0.9e-3, 1.1e-3]}
+    none = one | {"rms_m": None}
+    lines = [line.split()[4:6] for line in text_table([one, two, none]).splitlines()[2:]]
+    assert lines == [["1.000", "-"], ["1.000", "0.100"], ["-", "-"]]
+    assert "1.000 ± - |" in markdown_table([one])
+
+
+@pytest.mark.parametrize(
+    ("row", "text"),
+    [
+        ("1,1e300", "height_m 1e+300, expected at most"),
+        ("1e9,0", "is 1e\\+09 m long, expected at most 10000 m"),
+        ("1e300,0", "x_m 1e+300, expected at most"),
+    ],
+)
+def test_a_surface_beyond_all_bounds_is_refused(tmp_path: Path, row: str, text: str) -> None:
+    path = tmp_path / "s.csv"
+    path.write_text(f"x_m,height_m\n0,0\n{row}\n")
+    with pytest.raises(UsageError, match=text.replace("e+300", "e\\+300")):
+        read_csv(path)
 
 
 def test_sweeps_leave_out_rows_that_no_bar_and_no_table_needs() -> None:

@@ -51,6 +51,7 @@ static int answer(const char *verb, char *rest) {
   if (strcmp(verb, "ready_ms") == 0) return options.ready_wait_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "timeout_ms") == 0) return options.timeout_ns = (int64_t)(v[0] * 1e6), 0;
   if (strcmp(verb, "detach") == 0) return sf_detach(&client), 0;
+  if (strcmp(verb, "forget") == 0) return sf_forget(&client), 0;
   if (strcmp(verb, "fork") == 0) {
     const pid_t child = fork();
     if (child == 0) {

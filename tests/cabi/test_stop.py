@@ -82,6 +82,26 @@ def test_a_stop_waits_for_no_request_before_it_and_one_store_is_enough(
         assert driver.until("stop_reset", lambda a: a.result == 0).result == 0
 
 
+def test_detaching_is_no_loss_of_the_pose_and_letting_go_is_one(
+    make_probe: Callable[..., Probe], make_service: Callable[..., Service]
+) -> None:
+    # GIVEN a service that stops when the pose's holder is lost
+    s = make_service()
+    s.config.write_text(s.config.read_text() + '[stop]\non = ["pose_lost"]\n')
+    s.start()
+    driver = make_probe()
+    with s.observe() as watcher:
+        for how, causes in (("detach", []), ("forget", ["pose_lost"])):
+            assert driver(f"attach {s.name}").result == 0
+            assert driver(POSE).result == 0
+            # WHEN the holder detaches, or lets go without a release
+            assert driver(how).result == 0
+            until(lambda: watcher.status()["main"]["clients"] == 0, "the slot is free")
+            until(lambda: watcher.status()["main"]["pose_slot"] == -1, "the pose is free")
+            # THEN a stop is latched for the second alone
+            assert watcher.status()["stopped"] == causes, how
+
+
 def test_a_demand_of_the_future_is_of_another_clock(
     make_probe: Callable[..., Probe], service: Service
 ) -> None:

@@ -112,3 +112,15 @@ def test_a_process_without_memory_or_threads_says_so_in_one_line(error, monkeypa
     assert said.startswith("surffollow: the limits of this process")
     assert "ulimit -v" in said
     assert len(said.splitlines()) == 1
+
+
+def test_a_name_with_control_characters_controls_no_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # WHEN a command reports a file whose name has such characters
+    with pytest.raises(SystemExit):
+        main_module.main(["map", "info", str(tmp_path / "a\x1b[31mµ")])
+    # THEN they are escaped, and other characters are not
+    said = capsys.readouterr().err
+    assert "a\\x1b[31mµ" in said
+    assert "\x1b" not in said

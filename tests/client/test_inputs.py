@@ -318,6 +318,11 @@ def test_a_name_that_no_service_can_have_is_a_value_error(
     assert isinstance(caught.value, ValueError)
 
 
+def test_a_label_that_is_no_text_is_refused() -> None:
+    with pytest.raises(UsageError, match="label must be a text"):
+        attach("surf", label=5)  # type: ignore[arg-type]
+
+
 def test_a_stopped_service_refuses_requests_at_once(make_service: Callable[..., Service]) -> None:
     s = make_service().start()
     with s.attach() as c:

@@ -21,7 +21,7 @@ from surffollow.config.service import (
     parse_config,
     seconds,
 )
-from surffollow.errors import ConfigError, MapFileError
+from surffollow.errors import ConfigError, InvalidNameError, MapFileError, RegionError
 from surffollow.hw.registry import make_driver
 from surffollow.service.initialise import initialise_constants
 from surffollow.shm.dtypes import zeros
@@ -259,6 +259,21 @@ def test_what_start_finds_wrong_later_names_the_file_too(tmp_path, text, says):
     assert isinstance(error, ConfigError)
     assert str(error).startswith(f"{path}: ")
     assert says in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ('name = "a/b"\n', InvalidNameError),
+        ('[driver]\nkind = "simulated"\n[driver.world]\nregion = [0.0, 0.0, 1e3, 1e3]\n', RegionError),
+    ],
+)
+def test_a_bad_name_and_a_region_too_large_name_the_file_too(tmp_path, text, error):
+    path = tmp_path / "arm.toml"
+    path.write_text(text)
+    found = CliRunner().invoke(start_command, ["--config", str(path)]).exception
+    assert isinstance(found, error)
+    assert str(found).startswith(f"{path}: ")
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.record.table import Table
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_board import RQ_MAP_RESET
-from surffollow.shm.layout_follow import VALID, Output, Params
+from surffollow.shm.layout_follow import STOPPED, VALID, Output, Params
 
 Decoded = dict[str, list[tuple[Any, Any]]]
 
@@ -223,6 +223,26 @@ def test_after_a_hole_stepping_goes_on_at_the_next_snapshot(tmp_path: Path, reco
     assert done.differing == 0
     assert done.damage
     assert 1000 <= done.rows < 3000
+
+
+def test_a_stop_and_its_reset_end_neither_channels_nor_table(tmp_path: Path) -> None:
+    # GIVEN a recording with a stop before cycle 2100 and its reset before cycle 2250
+    path = tmp_path / "run.mcap"
+    published = record_synthetic_log(path, cycles=2600, mode=1)
+    # THEN its channels have every sample, bit for bit, and lines for both
+    found = decoded(path)
+    assert len(found["/state"]) == 260
+    for _, state in found["/state"]:
+        assert (state.status, state.stop) == tuple(published[state.cycle][k] for k in ("status", "stop"))
+        assert bool(state.status & STOPPED) == (2100 <= state.cycle < 2250)
+    lines = [line.message for _, line in found["/log"]]
+    assert [t for t in lines if "stop " in t] == ["stop latched: request", "stop reset by the pose's holder"]
+    # WHEN it is converted, THEN the table is whole, and equals what was published
+    done = convert([path], "csv", rate_hz=0)
+    assert (done.rows, done.differing, done.damage) == (2600, 0, [])
+    table = read_table(Path(done.files[0]))
+    for cycle, stop in zip(table["cycle"].tolist(), table["stop"].tolist()):
+        assert int(stop) == published[int(cycle)]["stop"]
 
 
 class Kept:

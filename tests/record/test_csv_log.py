@@ -74,6 +74,7 @@ def test_semicolons_and_tabs_are_read_with_either_decimal_sign(
     ("text", "message"),
     [
         ("t,d,n,e,u,roll,pitch\n", r"log\.csv has no column 'yaw'; it has t, d, n, e, u, roll, pitch"),
+        ("t,\x1b[31mred\x07\n", r"log\.csv has no column 'd'; it has t, \\x1b\[31mred\\x07; change"),
         ("", r"log\.csv is empty; expected a line of column names"),
         (HEADER.replace(",", ";") + "1,5;2.5;0;0;0;0;0;0\n", "line 2, column 'd': '2.5': .*one decimal sign"),
         (HEADER.replace(",", ";") + "1;1,234,5;0;0;0;0;0;0\n", "'1.234.5' is not a finite number"),

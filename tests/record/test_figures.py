@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from surffollow.cli.convert import convert_command, recover_command
 from surffollow.cli.plot import plot_command
 from surffollow.cli.replay import replay_command
-from surffollow.errors import MapFileError, UsageError
+from surffollow.errors import MapFileError, RecordingError, UsageError
 from surffollow.map import HeightMap
 from surffollow.map.formats.axis_labels import round_origin
-from surffollow.record import plot_recording
+from surffollow.record import plot_recording, samples, writer
 from surffollow.record.drawn_series import MAX_ROWS, drawn_series
 from surffollow.record.figure import new_figure, outliers, save_figure, shade, spans, with_room
 from surffollow.record.latency_histogram import log_histogram
@@ -251,6 +252,27 @@ def test_replay_writes_tables_and_figures_and_nothing_in_disguise(
     assert not (tmp_path / "x.doc").exists()
 
 
+def test_a_replay_whose_table_or_figure_is_not_whole_says_so(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # GIVEN a recording of which the replay reads more than the samples do
+    feed = samples.Sampler.feed
+
+    def short(self: samples.Sampler, words: np.ndarray) -> Iterator[samples.Run | samples.Event]:
+        yield from feed(self, words)
+        raise RecordingError("the word at 3 of a batch begins no entry")
+
+    monkeypatch.setattr(samples.Sampler, "feed", short)
+    for option, target in (("--out", tmp_path / "run.csv"), ("--plot", tmp_path / "run.png")):
+        words = [str(recording), option, str(target)]
+        # WHEN it is replayed with a table or a figure
+        text, report = (CliRunner().invoke(replay_command, w) for w in (words, [*words, "--json"]))
+        # THEN text, JSON and exit code say that the file written is not whole
+        assert f"NOT WHOLE: {target}: the word at 3" in text.output
+        assert str(target) in json.loads(report.output)["output_damage"][0]
+        assert (text.exit_code, report.exit_code) == (1, 1)
+
+
 def test_no_command_writes_over_what_it_reads(recording: Path, log: Path, tmp_path: Path) -> None:
     columns = str(tmp_path / "columns.toml")
     other = tmp_path / "other.csv"
@@ -294,6 +316,19 @@ def test_a_figure_that_finds_no_room_is_reported(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_conversion_that_finds_no_room_names_the_file_asked_for(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(writer._Sink, "write", full)
+    out = tmp_path / "x.mcap"
+    done = CliRunner().invoke(convert_command, [str(recording), "--to", "foxglove", "--out", str(out)])
+    assert str(done.exception).startswith(f"cannot write {out}: the disk is full; free some space")
+    assert not list(tmp_path.iterdir())
+
+
 def test_outliers_are_found_and_steps_are_not() -> None:
     rng = np.random.default_rng(3)
     values = np.where(np.arange(300) < 150, 0.0, 0.02) + rng.normal(0, 1e-4, 300)
@@ -329,12 +364,17 @@ def test_shares_of_a_histogram_add_up() -> None:
     assert edges[0] <= 10.0 < 1000.0 < edges[-1]
 
 
-def test_the_forecast_is_compared_with_what_was_found_later(recording: Path) -> None:
+def test_the_forecast_is_compared_with_the_height_that_was_known_later(recording: Path) -> None:
     data = read_figure_data(recording)
     predicted, still = forecast_errors(data, 0.1)
-    ground = data.ground_m
+    height = data.rows["output"]["height_m"]
     k = int(np.flatnonzero(np.isfinite(still))[40])
-    before = np.flatnonzero(np.isfinite(ground) & (data.t_s <= data.t_s[k] - 0.1 + 1e-6))[-1]
+    found = np.isfinite(data.ground_m) & (data.t_s <= data.t_s[k] - 0.1 + 1e-6)
+    before = np.flatnonzero(found)[-1]
     o = data.rows["output"][before]
-    assert still[k] == ground[before] - ground[k]
-    assert predicted[k] == o["height_m"] + o["slope"] * o["speed_mps"] * 0.1 - ground[k]
+    assert still[k] == height[before] - height[k]
+    assert predicted[k] == o["height_m"] + o["slope"] * o["speed_mps"] * 0.1 - height[k]
+    # WHEN the target points lie elsewhere than under the tool, as with a tilted one
+    data.rows["output"]["target_m"][:, 2] += 0.05
+    # THEN the errors are the same
+    np.testing.assert_array_equal(forecast_errors(data, 0.1), (predicted, still))

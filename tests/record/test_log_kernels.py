@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.forecast.step import follow_step, reset_stop, sf_reset
 from surffollow.record import log_kernels as k
 from surffollow.record.recorded_inputs import count_inputs, take_inputs
 from surffollow.record.synthetic_log import SyntheticLog
@@ -121,6 +121,10 @@ def test_replay_steps_as_a_plain_loop_over_the_entries_does(mode: int) -> None:
             params = entry[2:].copy().view(numpy_dtype(Params))
         elif kind == journal.RESET:
             sf_reset(params, state, float(entry[2:3].view(np.float64)[0]))
+        elif kind == journal.STOP and entry[2]:
+            state["stop"] |= entry[2]
+        elif kind == journal.STOP:
+            reset_stop(params, state)
         elif kind == journal.CYCLE:
             read, inputs = read_cycle(entry), zeros(Inputs)
             inputs["t_ns"] = read["t_ns"]

@@ -13,8 +13,9 @@ from surffollow.cli.replay import replay_command
 from surffollow.errors import RecordingError, UsageError
 from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
-from surffollow.record.map_rebuild import rebuild_map
+from surffollow.record.map_rebuild import Remapper, rebuild_map
 from surffollow.record.reader import RecordingReader
+from surffollow.record.recorder import Recorder
 from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.synthetic_log import NS_PER_S, SyntheticLog, synthesise_inputs
 from surffollow.shm.journal import MAP, SNAPSHOT, entry_head, entry_kind, entry_words
@@ -71,6 +72,20 @@ def test_the_heights_have_the_resolution_that_the_service_chose_at_the_reset(
     rebuilt = rebuild_map(path)
     assert (rebuilt.quantum_m, rebuilt.datum_m) == (1e-3, expected.datum_m)
     same_maps(rebuilt, expected)
+
+
+def test_behind_a_stop_and_its_reset_the_state_is_that_of_the_run(tmp_path: Path) -> None:
+    # GIVEN a recorded run with a stop and its reset
+    log, path = SyntheticLog(mode=1), tmp_path / "run.mcap"
+    recorder = Recorder(log, RecordingWriter(path, force=True))
+    log.run(2800)
+    recorder.finish()
+    with RecordingReader(path) as reader:
+        words = np.concatenate([np.frombuffer(bytes(b.words), np.int64) for b in reader.batches()])
+    # WHEN the map is built again, THEN target points come from the run's own state
+    remapper = Remapper()
+    remapper.segment(words)
+    np.testing.assert_array_equal(remapper.state.view(np.int64), log.state.view(np.int64))
 
 
 @pytest.mark.parametrize("finest", [(), (0.0,), (5e-4,)], ids=["old recording", "none", "chosen"])

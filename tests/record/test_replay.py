@@ -260,6 +260,9 @@ def test_alien_files_are_refused_with_their_names(tmp_path: Path) -> None:
         path.write_bytes(text)
         with pytest.raises(RecordingError, match="alien"):
             replay_file(path)
+    path.write_bytes(b"t_s,range_m\n0,1\n")
+    with pytest.raises(RecordingError, match=r"is no recording.*replay and plot read a CSV log"):
+        recover(path)
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start()

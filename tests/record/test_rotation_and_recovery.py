@@ -49,12 +49,18 @@ def test_files_that_follow_each_other_hold_every_cycle_and_replay_each_by_itself
     rows = (tmp_path / "all.csv").read_text().splitlines()
     place = rows[0].split(",").index("cycle")
     cycles = np.array([int(row.split(",")[place]) for row in rows[1:]])
-    assert done.rows == 6000
+    assert (done.rows, done.damage, done.differing) == (6000, [], 0), "stops are in the second half, too"
     assert (np.diff(cycles) == 1).all()
     # THEN the last file has all that a reader needs
     with open(files.paths[-1], "rb") as file:
-        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
-    assert {"/params", "/tf", "/state"} <= topics, "a later file is understood without the first"
+        topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
+    assert {"/params", "/tf", "/state"} <= set(topics), "a later file is understood without the first"
+    # THEN no file lacks samples: a stop ends the channels of none
+    samples = 0
+    for path in files.paths:
+        with open(path, "rb") as file:
+            samples += sum(c.topic == "/state" for _, c, _ in make_reader(file).iter_messages())
+    assert samples == 600
 
 
 def test_the_oldest_files_go_when_only_some_are_kept(tmp_path: Path) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from running_service import (
     ATTACHED,
@@ -27,6 +29,7 @@ from running_service import (
 from second_user import AS_NOBODY, needs_root
 from surffollow.client import Client
 from surffollow.errors import RefusedError
+from surffollow.record.convert import convert
 from surffollow.record.replay import replay_file
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import STOPPED, VALID
@@ -191,6 +194,30 @@ def test_named_causes_stop_and_cannot_be_reset_while_they_last(make_service: Mak
         world.close()
 
 
+def test_a_clean_end_of_the_poses_holder_is_no_loss_of_it(make_service: Make) -> None:
+    # GIVEN a service that stops when the pose's holder is lost
+    s = make_service(kind="simulated")
+    s.config.write_text(s.config.read_text() + '[stop]\non = ["pose_lost"]\n')
+    s.start()
+
+    def causes_behind(end: str) -> list[str]:
+        """Causes latched behind a holder that sends a pose and ends so."""
+        with s.observe() as watcher, program(ATTACHED + end, s.name) as holder:
+            holder.wait(READY_S)
+            until(lambda: watcher.status()["main"]["clients"] == 0, "the slot is free")
+            until(lambda: watcher.status()["main"]["pose_slot"] == -1, "the pose is free")
+            return list(watcher.status()["stopped"])
+
+    # WHEN it closes, or comes to the end of its `with` block, THEN nothing is latched
+    assert causes_behind("client.close()") == []
+    assert causes_behind(f"with client:\n    client.ee_pos({POSE})") == []
+    # WHEN an exception leaves the block, or the process ends without a close, THEN the stop is
+    for end in ("with client:\n    1 / 0", "os._exit(0)"):
+        assert causes_behind(end) == ["pose_lost"], end
+        with s.attach() as driver:
+            drive(driver, lambda: _resets(driver), what="a reset")
+
+
 def test_a_service_waits_for_the_program_that_pushes_its_ranges_and_stops_when_it_ends(
     make_service: Make,
 ) -> None:
@@ -260,3 +287,16 @@ def test_a_recording_with_stops_replays_to_the_same_bits(following: Service, tmp
     report = replay_file(out)
     assert report.identical, report
     assert report.events >= 4
+    # WHEN it is converted, THEN every cycle has its row
+    done = convert([out], "csv", rate_hz=0)
+    assert (done.rows, done.differing, done.damage) == (report.cycles, 0, [])
+    # THEN the channels went on while it was recorded: they end with the words, and tell of both stops
+    with open(out, "rb") as file:
+        found = list(make_reader(file).iter_messages(topics=["/state", "/log"]))
+    times = [m.publish_time for _, c, m in found if c.topic == "/state"]
+    lines = [m.data for _, c, m in found if c.topic == "/log"]
+    with open(done.files[0]) as table:
+        last_ns = int(list(csv.DictReader(table))[-1]["t_ns"])
+    assert last_ns - times[-1] < 20_000_000
+    for what in (b"stop latched: request", b"stop reset"):
+        assert sum(what in line for line in lines) == 2, what

@@ -93,6 +93,13 @@ class BoardReader:
             return False
         return time.monotonic_ns() - int(self.words[_HEARTBEAT]) < 2 * int(h["lease_ns"])
 
+    def starting(self) -> bool:
+        """Whether the server's process is there and has not announced READY yet."""
+        h = self.header
+        return self.words[_STATE] == al.STATE_STARTING and is_running(
+            h["server_pid"], h["server_start_ticks"]
+        )
+
     def number_of(self, resource: str) -> int:
         """Number of a resource.
 

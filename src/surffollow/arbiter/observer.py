@@ -92,7 +92,7 @@ class ArbiterObserver(Closing):
         Returns
         -------
         dict
-            `name`, `alive`, `epoch` and `pid` of the server, `lease_s` [s], `rounds` of its loop;
+            `name`, `alive`, `starting`, `epoch` and `pid` of the server, `lease_s` [s], `rounds` of its loop;
             `resources`: name → holder, state, queue, counters and declaration of each;
             `clients`: a list with number, name, priority, pid and counters of each
         """
@@ -114,6 +114,7 @@ class ArbiterObserver(Closing):
         return {
             "name": self.name,
             "alive": board.alive(),
+            "starting": board.starting(),
             "epoch": h["epoch"],
             "pid": h["server_pid"],
             "lease_s": h["lease_ns"] / 1e9,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -89,8 +90,18 @@ def markdown_table(rows: Sequence[Row]) -> str:
 def _rms(row: Row | None) -> str:
     if row is None:
         return ""
+    return f"{_number(row['rms_m'], 1e3)} ± {_number(half_interval_m(row), 1e3)}"
+
+
+def half_interval_m(row: Row) -> float | None:
+    """Half the RMS's 95 % interval over seeds [m]; None: one seed has none."""
     low, high = row["rms_ci95_m"]
-    return f"{1e3 * row['rms_m']:.3f} ± {0.5e3 * (high - low):.3f}"
+    return None if row.get("seeds") == 1 else 0.5 * (high - low)
+
+
+def _number(value: float | None, factor: float, digits: int = 3) -> str:
+    """A figure of a table; "-" for one that there is not."""
+    return "-" if value is None or not math.isfinite(value) else f"{factor * value:.{digits}f}"
 
 
 def text_table(rows: Sequence[Row]) -> str:
@@ -101,14 +112,13 @@ def text_table(rows: Sequence[Row]) -> str:
     lines = [f"{'method':<20} {'surface':<18} " + " ".join(f"{n:>{w}}" for n, w in zip(names, widths))]
     lines.append(" " * 40 + " ".join(f"{u:>{w}}" for u, w in zip(units, widths)))
     for r in rows:
-        low, high = r["rms_ci95_m"]
-        lag = "" if r["lag_s"] is None else f"{1e3 * r['lag_s']:.0f}"
         name = r["surface"] + (f" {r['variant']}" if r.get("variant") else "")
         lines.append(
             f"{r['method']:<20} {name:<18} {1e3 * r['speed_mps']:>6g} {1e3 * r['lead_m']:>5g} "
-            f"{1e3 * r['rms_m']:>8.3f} {0.5e3 * (high - low):>7.3f} {1e3 * r['p95_m']:>8.3f} "
-            f"{1e3 * r['peak_m']:>8.3f} {100 * r['within_1mm']:>5.1f} {r['demand_accel_mps2']:>7.3f} "
-            f"{r['demand_sign_changes_per_m']:>7.1f} {lag:>6}"
+            f"{_number(r['rms_m'], 1e3):>8} {_number(half_interval_m(r), 1e3):>7} "
+            f"{_number(r['p95_m'], 1e3):>8} {_number(r['peak_m'], 1e3):>8} "
+            f"{_number(r['within_1mm'], 100, 1):>5} {_number(r['demand_accel_mps2'], 1):>7} "
+            f"{_number(r['demand_sign_changes_per_m'], 1, 1):>7} {_number(r['lag_s'], 1e3, 0):>6}"
         )
     return "\n".join(lines)
 

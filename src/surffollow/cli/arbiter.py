@@ -13,6 +13,8 @@ from surffollow.cli.arbiter_stop import stop_command
 from surffollow.cli.old_names import old_name
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
+STARTING = 3  # exit code, as of `surffollow status`
+
 
 @click.group("arbiter")
 def arbiter_group() -> None:
@@ -55,7 +57,7 @@ arbiter_group.add_command(stop_command)
 def status_command(name: str, wait_s: float, as_json: bool) -> None:
     """Show who holds what, who is attached, what was denied and how long clients waited.
 
-    Exit code 1 when it does not run.
+    Exit codes: 0 it runs; 1 it does not; 3 it starts.
     """
     status = _status_in(name, wait_s)
     if as_json:
@@ -63,13 +65,15 @@ def status_command(name: str, wait_s: float, as_json: bool) -> None:
     else:
         _print_status(name, status)
     if not status["alive"]:
-        sys.exit(1)
+        sys.exit(STARTING if status["starting"] else 1)
 
 
 def _print_status(name: str, status: dict[str, Any]) -> None:
     from surffollow.units import format_ns
 
-    running = "runs" if status["alive"] else "does not run (its last board)"
+    running = (
+        "runs" if status["alive"] else "starts" if status["starting"] else "does not run (its last board)"
+    )
     print(f"arbiter {name} {running}, pid {status['pid']}, epoch {status['epoch']}")
     for resource, s in status["resources"].items():
         by = f" by {s['holder']} (priority {s['priority']})" if s["holder"] else ""

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 
 import click
 
 from surffollow.cli.option_types import JSON, rate_option
+
+
+def report_damage(damage: Sequence[str]) -> None:
+    """Say on stderr why a written file lacks parts of its recording."""
+    for text in damage:
+        print(f"surffollow: damaged: {text}", file=sys.stderr)
 
 
 @click.command("convert")
@@ -44,8 +51,7 @@ def convert_command(
     with progress_line() as show:
         progress = None if show is None else lambda part: show(f"{part:6.1%} converted")
         done = convert(files, to, out, rate_hz=rate, force=force, progress=progress)
-    for text in done.damage:
-        print(f"surffollow: damaged: {text}", file=sys.stderr)
+    report_damage(done.damage)
     if done.differing:
         text = (
             f"{done.differing} cycles came out otherwise than recorded: made by another release or machine?"

@@ -202,7 +202,7 @@ def main(argv: list[str] | None = None) -> Any:
             if sys.stdout is not None:
                 sys.stdout.flush()
     except SurffollowError as e:
-        print(f"surffollow: {e}", file=sys.stderr)
+        print(f"surffollow: {escaped(str(e))}", file=sys.stderr)
         sys.exit(e.exit_code)
     except ModuleNotFoundError as e:
         remedy = missing_library(e)
@@ -228,6 +228,11 @@ def main(argv: list[str] | None = None) -> Any:
         throw_output_away()
         print(f"surffollow: cannot write the output: {e.strerror}", file=sys.stderr)
         sys.exit(1)
+
+
+def escaped(text: str) -> str:
+    """A message in which no character controls the terminal: names of files and columns may have such."""
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
 
 
 def throw_output_away() -> None:

@@ -59,11 +59,14 @@ def plot_command(
         replay, meaning = replay_csv_log(file, columns, start, end, mode)
         plot_csv(file, replay, meaning, target)
     elif _is_recording(file):
+        from surffollow.cli.convert import report_damage
         from surffollow.cli.progress import progress_line
         from surffollow.record.plot_recording import plot_recording
 
         with progress_line() as show:
-            plot_recording(file, target, None if show is None else lambda part: show(f"{part:6.1%} read"))
+            progress = None if show is None else lambda part: show(f"{part:6.1%} read")
+            damage = plot_recording(file, target, progress)
+        report_damage(damage)
     else:
         from surffollow.map import HeightMap
         from surffollow.map.files import export

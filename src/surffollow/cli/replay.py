@@ -49,8 +49,9 @@ def replay_command(
 ) -> None:
     """Run a recording through the same kernels again and compare every bit.
 
-    Exit code 1 when anything differs or the file is damaged. A CSV log with --columns
-    is followed as it stands; the ranges forecast ahead are compared with those that came.
+    Exit code 1 when anything differs, or when the recording or a file written of it is not whole.
+    A CSV log with --columns is followed as it stands; the ranges forecast ahead are compared with those
+    that came.
     """
     from surffollow.errors import UsageError
 
@@ -85,19 +86,28 @@ def replay_command(
             )
         if map_out is not None:
             _write_map(file, map_out)
-        for figure in (plot, out if suffix not in TABLES else None):
-            if figure is not None:
-                from surffollow.record.plot_recording import plot_recording
-
-                plot_recording(file, figure)
-        if out is not None and suffix in TABLES:
-            from surffollow.record.convert import convert
-
-            convert([file], "parquet" if suffix == ".parquet" else "csv", out, force=True)
+        damage = _write_outputs(file, out, plot, suffix)
         if live:
             _play_live(file, name, as_json)
+            _end_with(damage)
         else:
-            _replay_recording(file, as_json)
+            _replay_recording(file, as_json, damage)
+
+
+def _write_outputs(file: str, out: str | None, plot: str | None, suffix: str | None) -> list[str]:
+    """Write table and figures; for each that is not whole, its name and the damage."""
+    damage = []
+    for figure in (plot, out if suffix not in TABLES else None):
+        if figure is not None:
+            from surffollow.record.plot_recording import plot_recording
+
+            damage += [f"{figure}: {text}" for text in plot_recording(file, figure)]
+    if out is not None and suffix in TABLES:
+        from surffollow.record.convert import convert
+
+        done = convert([file], "parquet" if suffix == ".parquet" else "csv", out, force=True)
+        damage += [f"{out}: {text}" for text in done.damage]
+    return damage
 
 
 def _write_map(file: str, map_out: str) -> None:
@@ -129,7 +139,18 @@ def _play_live(file: str, name: str | None, as_json: bool) -> None:
         )
 
 
-def _replay_recording(file: str, as_json: bool) -> None:
+def _end_with(damage: list[str]) -> None:
+    """Exit code 1 when a written file is not whole."""
+    import sys
+
+    from surffollow.cli.convert import report_damage
+
+    report_damage(damage)
+    if damage:
+        sys.exit(1)
+
+
+def _replay_recording(file: str, as_json: bool, damage: list[str]) -> None:
     import json
     import sys
     from dataclasses import asdict
@@ -137,8 +158,11 @@ def _replay_recording(file: str, as_json: bool) -> None:
     from surffollow.record.replay import replay_file
 
     report = replay_file(file)
-    click.echo(json.dumps(asdict(report)) if as_json else report_text(file, report))
-    if not report.identical:
+    if as_json:
+        click.echo(json.dumps(asdict(report) | {"output_damage": damage}))
+    else:
+        click.echo("\n".join([report_text(file, report), *(f"NOT WHOLE: {text}" for text in damage)]))
+    if damage or not report.identical:
         sys.exit(1)
 
 

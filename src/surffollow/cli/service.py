@@ -36,7 +36,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 
         from surffollow.config.names import check_service_name
         from surffollow.config.service import ServiceConfig, load_config
-        from surffollow.errors import ConfigError
+        from surffollow.errors import UsageError
         from surffollow.shm.trusted_folder import check_numba_settings
 
         config = load_config(config_path) if config_path else ServiceConfig()
@@ -54,10 +54,10 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
         serve(config, quiet)
     except KeyboardInterrupt:  # before the service had objects to tidy up
         sys.exit(130)
-    except ConfigError as error:
+    except UsageError as error:  # such as a region too large
         if config_path is None or str(error).startswith(config_path):
             raise
-        raise ConfigError(f"{config_path}: {error}") from None
+        raise type(error)(f"{config_path}: {error}") from None
 
 
 @click.command("stop")

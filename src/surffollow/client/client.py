@@ -14,7 +14,7 @@ from surffollow.client.pose import FUTURE_NS, checked_pose, checked_stamp
 from surffollow.client.reclaim import CLAIM_ANSWER_S, POSE
 from surffollow.client.slot import GENERATION
 from surffollow.config.pose_limits import MAX_POSITION_M
-from surffollow.errors import BusyError, PoseError
+from surffollow.errors import BusyError, PoseError, SurffollowError
 from surffollow.shm import layout_board as lb
 from surffollow.shm import layout_slot as ls
 from surffollow.shm.latch_shape import SLOTS, stride
@@ -182,11 +182,40 @@ class Client(MapRequests):
         self._tool.publish(t_ns, pose, velocity)
 
     def close(self) -> None:
-        """Give back the pose and the slot, remove the world block, unmap everything."""
+        """Release the pose, give back the slot, remove the world block, unmap everything.
+
+        Notes
+        -----
+        The pose is not lost: the cause `pose_lost` latches no stop. It waits for the service's answer to the
+        release, 1 s at most, and not for a service that is silent. A `with` block that an exception leaves,
+        Ctrl-C too, does not release: the service counts the pose as lost, as of a process that died.
+        """
+        with self._lock:  # a thread that sends poses claims no pose in between
+            try:
+                self._give_pose_back()
+            finally:
+                self._let_go()
+
+    def _give_pose_back(self) -> None:
+        """Release what this client holds or is claiming; a service that is silent is not waited for."""
+        grant = self._grant
+        if grant is None or POSE not in self._had or not grant.is_open():
+            return
+        with contextlib.suppress(SurffollowError):
+            self._request(lb.RQ_RELEASE_POSE, patience_s=CLAIM_ANSWER_S).result(CLAIM_ANSWER_S)
+        self._had.discard(POSE)
+
+    def _let_go(self) -> None:
         if self._tool is not None:
             tool, self._tool = self._tool, None
             tool.close()
         super().close()
+
+    def __exit__(self, *exc: object) -> None:
+        if any(exc):
+            self._let_go()
+        else:
+            self.close()
 
     EEPos = ee_pos
     DevVector = Observer.dev_vector

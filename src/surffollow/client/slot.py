@@ -17,6 +17,7 @@ from surffollow.client.slot_request import SlotGrant, SlotRequest
 from surffollow.errors import (
     NotReadyError,
     NotRunningError,
+    UsageError,
 )
 from surffollow.shm import layout_slot as ls
 from surffollow.shm.latch_shape import HEAD_BYTES
@@ -54,6 +55,8 @@ class SlotHolder(Observer):
         label: str = "",
         owner: int | str | None = None,
     ) -> None:
+        if not isinstance(label, str):
+            raise UsageError(f"label must be a text of up to 31 bytes, not {label!r}")
         self._label = (label or f"python {os.getpid()}").encode()[:31]
         # exclusive access: uses entered or waiting, threads inside, number of the grant given back last
         self._access_lock = threading.RLock()

@@ -14,7 +14,7 @@ from surffollow.config.names import check_service_name
 from surffollow.config.params import PARAMS, check_param, names_given
 from surffollow.config.stop_causes import stop_causes
 from surffollow.config.toml_file import naming_source, read_toml
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, UsageError
 from surffollow.units import parse_quantity
 
 _PAPER_MODE = PARAMS["mode"].choices.index("paper")
@@ -137,6 +137,8 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Service
     ------
     ConfigError
         unknown key, wrong type, unknown unit, value out of bounds; the text names the key
+    InvalidNameError
+        `name` cannot name a service
     """
     try:
         config = msgspec.convert(data, ServiceConfig)
@@ -145,7 +147,7 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Service
             f"{source}: {key_error_text(e, ServiceConfig)}; see docs/reference/configuration.md of the "
             "source distribution"
         ) from None
-    with naming_source(source, ConfigError):
+    with naming_source(source, UsageError):
         _check(config)
     return config
 

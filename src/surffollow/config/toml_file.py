@@ -20,11 +20,11 @@ MAX_BYTES = 16 << 20  # far more than any such file has
 
 @contextmanager
 def naming_source(source: str, error: type[SurffollowError]) -> Iterator[None]:
-    """Put the name of what was read before the text of an error that is raised inside."""
+    """Put the name of what was read before the text of an error of that kind that is raised inside."""
     try:
         yield
     except error as e:
-        raise error(f"{source}: {e}") from None
+        raise type(e)(f"{source}: {e}") from None
 
 
 def read_toml(path: str | Path, kind: str, error: type[SurffollowError]) -> dict[str, Any]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import operator
 
+import numpy as np
+
 from surffollow.errors import PoseError, UsageError
 
 # the kernels take a reading at 0 ns for none: their time runs ahead of the caller's by an hour
@@ -29,6 +31,8 @@ def kernel_time(t_ns: int, error: type[UsageError] = UsageError) -> int:
         no whole number, or beyond what the kernels can count
     """
     try:
+        if isinstance(t_ns, bool | np.bool_):
+            raise TypeError
         whole = operator.index(t_ns)
     except TypeError:
         raise error(

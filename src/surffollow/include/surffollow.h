@@ -1811,11 +1811,11 @@ static inline void sf_i_read_pose_timeout(sf_client *c) {
   if (sf_latch_read_part(c->params, sizeof(sf_params), at, 1, &value) > 0 && value > 0) c->pose_timeout_ns = value;
 }
 
-/* Give back the pose and the slot, remove the world block of sf_sim_pose, unmap everything. Also right after a failed attach. */
-static inline void sf_detach(sf_client *c) {
-  if (c == NULL) return;
+static inline void sf_i_give_pose_back(sf_client *c);
+
+static inline void sf_i_detach(sf_client *c, int remove_world) {
   sf_i_release_slot(c);
-  sf_i_release_world(c, 1);
+  sf_i_release_world(c, remove_world);
   c->access_depth = 0;
   sf_i_close(&c->board);
   sf_i_close(&c->map);
@@ -1823,13 +1823,24 @@ static inline void sf_detach(sf_client *c) {
 }
 
 /*
- * For a child after fork(), before it does anything else with surffollow: let go of its parent's clients.
- * The child would otherwise write into its parent's slot.
+ * Release the pose, give back the slot, remove the world block of sf_sim_pose, unmap everything. Also right after a
+ * failed attach. The pose is not lost, so SF_STOP_POSE_LOST latches no stop. It waits for the service's answer to the
+ * release, 1 s at most, and not for a service that is silent.
+ */
+static inline void sf_detach(sf_client *c) {
+  if (c == NULL) return;
+  sf_i_give_pose_back(c);
+  sf_i_detach(c, 1);
+}
+
+/*
+ * Let go of a client without a release. For a child after fork(), before it does anything else with surffollow:
+ * the child would otherwise write into its parent's slot. In the process that attached, the pose counts as
+ * lost: for the end of a program that failed.
  */
 static inline void sf_forget(sf_client *c) {
   if (c == NULL) return;
-  sf_i_release_world(c, 0);
-  sf_detach(c);
+  sf_i_detach(c, 0);
 }
 
 /*
@@ -2278,6 +2289,14 @@ static inline int sf_release_pose(sf_client *c) {
   if (!c->pose_held) return SF_OK;
   c->pose_held = 0;
   return sf_i_ask(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
+}
+
+/* Release what this client holds or is claiming, so that its end is no loss; a service that is silent is not waited for. */
+static inline void sf_i_give_pose_back(sf_client *c) {
+  if (c->slot_memory == NULL || !c->had_pose || !sf_i_slot_is_open(c)) return;
+  const int64_t timeout_ns = c->options.timeout_ns < SF_EXCHANGE_NS ? c->options.timeout_ns : SF_EXCHANGE_NS;
+  c->had_pose = c->pose_held = 0;
+  (void)sf_i_ask(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, timeout_ns, 0);
 }
 
 /* Check a pose; a quaternion's norm may be off by 1e-3 and is then made 1. */

@@ -9,7 +9,7 @@ topic          type                     when
 /beam/C        foxglove.LaserScan       every sample with a distance on channel C, in the sensor's frame
 /points        foxglove.PointCloud      every sample: the target points found since the last one
 /map           foxglove.PointCloud      all known grids, when they changed, at a bounded rate
-/log           foxglove.Log             changes of status, health and faults; resets, map commands, losses
+/log           foxglove.Log             changes of status, health, faults; resets, stops, map commands, losses
 /state         surffollow.Output        every sample: all that the cycle published
 /params        surffollow.Params        at the beginning and when they changed
 /service       surffollow.Service       once a second, live recordings only: counters and histograms
@@ -24,6 +24,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.stop_causes import stop_names
 from surffollow.record import foxglove as fx
 from surffollow.record.protobuf import Field, Message
 from surffollow.record.protobuf_types import message_of
@@ -121,6 +122,10 @@ class StandardChannels:
             self.announce(t_ns, "a segment begins")
         elif event.kind == "reset":
             self.log(t_ns, f"SFReset: stand-off {event.values[0]:.6g} m")
+        elif event.kind == "stop" and event.code:
+            self.log(t_ns, f"stop latched: {', '.join(stop_names(event.code))}", fx.WARNING)
+        elif event.kind == "stop":
+            self.log(t_ns, "stop reset by the pose's holder")
         elif event.kind == "map":
             name = _MAP_COMMANDS.get(event.code, f"map command {event.code}")
             self.log(t_ns, f"{name} over {numbers_text(*event.values)} m")

@@ -72,7 +72,7 @@ def convert(
     done = Converted([str(target)])
     if to == "foxglove":
         with replacing(target) as temporary:
-            done.messages = _write_channels(source, temporary)
+            done.messages = _write_channels(source, temporary, target)
     else:
         table = table_of(source)
         done.rows = len(table["t_ns"])
@@ -103,9 +103,10 @@ def _target(
     return target
 
 
-def _write_channels(source: FileSamples, path: Path) -> int:
-    """Standard channels of all files into one; the number of messages."""
-    with MessageWriter(path, force=True, wall_offset=source.wall_offset_ns) as writer:
+def _write_channels(source: FileSamples, path: Path, target: Path) -> int:
+    """Standard channels of all files into one, which becomes `target`; the number of messages."""
+    offset_ns = source.wall_offset_ns
+    with MessageWriter(path, force=True, wall_offset=offset_ns, target=target) as writer:
         channels = StandardChannels(writer, source.sampler.params)
         mapped, pace, t_ns = Remapper(), MapPace(), 0
         for part in source:

@@ -128,7 +128,8 @@ def _text(path: str | Path) -> str:
 
 
 def _shown(text: str) -> str:
-    """Text of a file for a message, not longer than a line."""
+    """Text of a file for a message, not longer than a line; no character of it controls a terminal."""
+    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
 
 

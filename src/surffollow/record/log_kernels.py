@@ -153,6 +153,25 @@ def params_in_bounds(words: Any, at: Any) -> Any:
 
 
 @jit
+def take_request(words: Any, floats: Any, at: Any, params: Any, state: Any) -> None:
+    """Change the state as the RESET or STOP entry at `at` did; another kind changes nothing.
+
+    Parameters
+    ----------
+    words, floats : (n,) int64, float64     the same memory
+    at : int                                index of the entry's first word; the entry is whole
+    params, state : (1,) records of `Params`, `FollowState`, updated
+    """
+    kind = entry_kind(words[at])
+    if kind == RESET:
+        sf_reset(params, state, floats[at + 2])
+    elif kind == STOP and words[at + 2] != 0:
+        latch_stop(state, words[at + 2])
+    elif kind == STOP:
+        reset_stop(params, state)
+
+
+@jit
 def take_snapshot(words: Any, at: Any, params_words: Any, state_words: Any, tally: Any) -> None:
     """Load the first snapshot of a segment; compare the later ones with the replayed state.
 
@@ -235,11 +254,6 @@ def replay_words(
                     return at
                 for k in range(PARAMS_WORDS):
                     params_words[k] = words[at + 2 + k]
-            elif kind == RESET:
-                sf_reset(params, state, floats[at + 2])
-            elif kind == STOP and words[at + 2] != 0:
-                latch_stop(state, words[at + 2])
-            elif kind == STOP:
-                reset_stop(params, state)
+            take_request(words, floats, at, params, state)
         at += length
     return at

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
-from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
-from surffollow.record.log_kernels import entry_length, params_in_bounds
+from surffollow.record.log_kernels import entry_length, params_in_bounds, take_request
 from surffollow.record.reader import RecordingReader
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
@@ -25,6 +25,7 @@ from surffollow.shm.journal import (
     RESET,
     SNAPSHOT,
     STATE_WORDS,
+    STOP,
     decode_cycle,
     entry_kind,
     entry_words,
@@ -71,8 +72,8 @@ def collect_targets(
                     for k in range(3):
                         points[kept, k] = o.target_m[3 * c + k]
                     kept += 1
-        elif kind == RESET:
-            sf_reset(params, state, floats[at + 2])
+        elif kind in (RESET, STOP):
+            take_request(words, floats, at, params, state)
         elif kind == PARAMS or out[2] == 0:
             if not params_in_bounds(words, at):
                 break

@@ -75,7 +75,7 @@ class McapReader(Closing):
         if begins != MAGIC:
             raise RecordingError(
                 f"{self.path} is no recording: it does not begin with the MCAP mark "
-                "(a CSV log needs --columns and a name ending in .csv)"
+                "(replay and plot read a CSV log, whose name ends in .csv, with --columns)"
             )
         self._sound = self._check_whole()
 

@@ -21,8 +21,8 @@ HORIZON_S = 0.1
 _HEALTH_COLORS = (fg.GREEN, "#d8b13a", fg.ORANGE, fg.RED, "#8e44ad", fg.RED)
 
 
-def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> Path:
-    """Draw a recording; the path of the figure.
+def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> list[str]:
+    """Draw a recording; the damage of the file, of which only the whole part is drawn.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> P
         draw_latency(figure.add_subplot(grid[4, 0]), data, service)
         _draw_ground_plan(figure, figure.add_subplot(grid[4, 1]), data)
         fg.save_figure(figure, out)
-    return Path(out)
+    return data.source.damage
 
 
 def _headline(path: str | Path, data: FigureData) -> str:
@@ -94,9 +94,11 @@ def _draw_ground(ax: Any, data: FigureData) -> None:
     ground, odd = data.ground_m, fg.outliers(data.ground_m)
     factor, unit = fg.length_scale(np.concatenate([ground, tool]))
     fg.shade(ax, _gaps(data), fg.SAND, "no distance")
-    height = np.where(np.isfinite(ground) | (o["height_m"] != 0.0), o["height_m"], np.nan)
-    ax.plot(t, ground * factor, ".", ms=3.0, color=fg.GREY, label="target points", rasterized=True)
-    ax.plot(t, _breaks(height, data) * factor, color=fg.INK, lw=0.8, label="surface, as the follower has it")
+    height = known_height(data)
+    # with a tilted tool, or a sensor beside it, the points lie elsewhere than the ground under the tool
+    target = "target points (beam of channel 0)"
+    ax.plot(t, ground * factor, ".", ms=3.0, color=fg.GREY, label=target, rasterized=True)
+    ax.plot(t, _breaks(height, data) * factor, color=fg.INK, lw=0.8, label="ground under the tool, estimated")
     ax.plot(t, _breaks(goal, data) * factor, color=fg.ORANGE, lw=0.8, label="setpoint: pose and demand")
     ax.plot(t, _breaks(tool, data) * factor, color=fg.BLUE, lw=1.0, label="tool, as reported")
     fg.mark_outliers(ax, t, ground * factor, odd)
@@ -129,15 +131,22 @@ def _draw_error(ax: Any, data: FigureData) -> None:
         ax.legend(loc="upper right", ncols=2)
 
 
+def known_height(data: FigureData) -> NDArray[np.float64]:
+    """Height of the ground under the tool (n,) [m]; NaN where the follower has none."""
+    height = data.rows["output"]["height_m"]
+    return np.where(np.isfinite(data.ground_m) | (height != 0.0), height, np.nan)
+
+
 def forecast_errors(
     data: FigureData, horizon_s: float = HORIZON_S
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Errors (n,) [m] of "height + slope · speed · horizon" and of "as it is", against the ground found then.
+    """Errors (n,) [m] of "height + slope · speed · horizon" and of "as it is", against the height known then.
 
-    The truth is the first target point at or after the horizon, at most one and a half samples late.
+    Both heights are those under the tool: a target point may lie elsewhere. The truth is the height of the
+    first sample at or after the horizon that has a new target point, at most one and a half samples late.
     """
-    o, t, ground = data.rows["output"], data.t_s, data.ground_m
-    has = np.flatnonzero(np.isfinite(ground))
+    o, t, height = data.rows["output"], data.t_s, known_height(data)
+    has = np.flatnonzero(np.isfinite(data.ground_m) & np.isfinite(height))
     out = np.full((2, t.size), np.nan)
     if has.size > 1:
         step = float(np.median(np.diff(t[has])))
@@ -145,9 +154,9 @@ def forecast_errors(
         good = j < has.size
         good[good] &= t[has][j[good]] - t[has][good] - horizon_s <= 1.5 * step
         at, then = has[good], has[j[good]]
-        predicted = o["height_m"][at] + o["slope"][at] * o["speed_mps"][at] * horizon_s
-        out[0, then] = predicted - ground[then]
-        out[1, then] = ground[at] - ground[then]
+        predicted = height[at] + o["slope"][at] * o["speed_mps"][at] * horizon_s
+        out[0, then] = predicted - height[then]
+        out[1, then] = height[at] - height[then]
     return out[0], out[1]
 
 
@@ -164,7 +173,7 @@ def _draw_forecast(ax: Any, data: FigureData) -> None:
     low, high = fg.robust_limits(np.concatenate([predicted, still]) * 1e3)
     reach = max(abs(low), abs(high))
     ax.set_ylim(-reach, 1.35 * reach)
-    ax.set_title(f"Ground {HORIZON_S:g} s ahead: forecast less what was found then")
+    ax.set_title(f"Ground under the tool {HORIZON_S:g} s ahead: forecast less the height that was known then")
     ax.set(ylabel="error [mm]")
     ax.legend(loc="upper right", ncols=3, markerscale=5)
 

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
-from surffollow.forecast.step import sf_reset
-from surffollow.record.log_kernels import entry_length, params_in_bounds
+from surffollow.record.log_kernels import entry_length, params_in_bounds, take_request
 from surffollow.record.step_samples import (
     DELAY,
     DIFFERING,
@@ -52,7 +51,15 @@ class Run:
 
 @dataclass
 class Event:
-    """An entry that is no cycle: "snapshot", "params", "reset" or "map"; `values` of the last two."""
+    """An entry that is no cycle, named by `kind`.
+
+    Attributes
+    ----------
+    kind : "snapshot", "params", "reset", "map" or "stop"
+    t_ns : int
+    code : int      "snapshot": 1 for a segment's first; "map": the command; "stop": causes, 0 for its reset
+    values : tuple  of "reset" and "map" [m]
+    """
 
     kind: str
     t_ns: int
@@ -60,7 +67,13 @@ class Event:
     values: tuple[float, ...] = ()
 
 
-_NAMES = {journal.SNAPSHOT: "snapshot", journal.PARAMS: "params", journal.RESET: "reset", journal.MAP: "map"}
+_NAMES = {
+    journal.SNAPSHOT: "snapshot",
+    journal.PARAMS: "params",
+    journal.RESET: "reset",
+    journal.MAP: "map",
+    journal.STOP: "stop",
+}
 
 
 class Sampler:
@@ -97,7 +110,9 @@ class Sampler:
 
     def warm_up(self) -> None:
         """Compile the kernel or load it from the cache."""
-        self._step(np.zeros(1, np.int64), 0)
+        words = np.zeros(1, np.int64)
+        self._step(words, 0)
+        take_request(words, words.view(np.float64), 0, self.params, self.state)  # of no kind
 
     def _step(self, words: NDArray[np.int64], at: int) -> None:
         records = (self.params, self.state, self.inputs, self.output)
@@ -148,7 +163,10 @@ class Sampler:
                 event.code = 1  # the segment's first
         elif kind == journal.RESET:
             event.values = (float(floats[at + 2]),)
-            sf_reset(self.params, self.state, floats[at + 2])
+            take_request(words, floats, at, self.params, self.state)
+        elif kind == journal.STOP:
+            event.code = int(words[at + 2])
+            take_request(words, floats, at, self.params, self.state)
         elif kind == journal.MAP:
             event.code = int(words[at + 2])
             event.values = tuple(float(v) for v in floats[at + 3 : at + length])

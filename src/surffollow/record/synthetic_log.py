@@ -1,7 +1,7 @@
 """Write a cycle log without a daemon: the follower's kernels on invented inputs, for trials and benchmarks.
 
 The order is the service's: SNAPSHOT at the start and every `snapshot_cycles`, then
-PARAMS or RESET before the cycle they change, then the CYCLE entry.
+PARAMS, RESET or STOP before the cycle they change, then the CYCLE entry.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS
-from surffollow.forecast.step import follow_step, sf_reset
+from surffollow.forecast.step import follow_step, reset_stop, sf_reset
+from surffollow.forecast.stop import latch_stop
 from surffollow.shm import journal
 from surffollow.shm.conversion import FLAG_INVALID, pack_conversion
 from surffollow.shm.cycle_log import log_append
@@ -26,11 +27,12 @@ from surffollow.shm.journal import (
     SNAPSHOT,
     SNAPSHOT_WORDS,
     STATE_WORDS,
+    STOP,
     encode_cycle,
     entry_head,
 )
 from surffollow.shm.layout_board import LogHead
-from surffollow.shm.layout_follow import CHANNELS, FollowState, Inputs, Output, Params
+from surffollow.shm.layout_follow import CHANNELS, STOP_REQUEST, FollowState, Inputs, Output, Params
 
 NS_PER_S = 1_000_000_000
 SPEED_MPS = 0.05
@@ -136,6 +138,14 @@ def simulate_cycles(
             sf_reset(params, state, offset_m)
             floats[2] = offset_m
             append_event(log, capacity, words, address, RESET, t_ns, 3)
+        if cycle % 2900 == 2100:
+            latch_stop(state, STOP_REQUEST)
+            words[2] = STOP_REQUEST
+            append_event(log, capacity, words, address, STOP, t_ns, 3)
+        elif cycle % 2900 == 2250:
+            reset_stop(params, state)
+            words[2] = 0
+            append_event(log, capacity, words, address, STOP, t_ns, 3)
         synthesise_inputs(params, inputs, cycle, plan[3], plan[4], plan[5])
         follow_step(params, state, inputs, output, scratch)
         log_append(log, capacity, address, encode_cycle(words, floats, inputs, output))

@@ -53,6 +53,7 @@ class MessageWriter:
     force : replace an existing file
     wall_offset : CLOCK_REALTIME less CLOCK_MONOTONIC [ns]; log times are wall-clock times by it,
         publish times those of CLOCK_MONOTONIC. None: as the clocks say now. 0: no wall clock is known
+    target : `path` is a temporary file that becomes this one when it is whole; errors name this one
 
     Raises
     ------
@@ -66,8 +67,9 @@ class MessageWriter:
         stream: BinaryIO | None = None,
         force: bool = False,
         wall_offset: int | None = None,
+        target: Path | None = None,
     ) -> None:
-        self.path = Path(path)
+        self.path, self._target = Path(path), target
         self.bytes_written = 0
         self.messages = 0
         self.wall_offset_ns = wall_offset_ns() if wall_offset is None else wall_offset
@@ -176,6 +178,8 @@ class MessageWriter:
             elif e.errno == errno.EFBIG:
                 what = "no file may be larger here"
                 remedy = "raise the limit (ulimit -f), or rotate files (--rotate-size)"
+            if self._target is not None:
+                raise FaultError(f"cannot write {self._target}: {what}; {remedy}") from None
             kept = "it is readable up to there (surffollow replay)" if self._whole else "nothing was recorded"
             raise FaultError(
                 f"recording {self.path} ends after {self._whole} bytes: {what}; {kept}; {remedy}"

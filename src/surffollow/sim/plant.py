@@ -8,6 +8,7 @@ demand refers to, never to a newer one.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -47,7 +48,7 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _UNITS = {"_mps2": "m/s^2", "_mps": "m/s", "_hz": "Hz", "_m": "m", "_s": "s"}
-_OF_THE_BENCHMARK = ("pose", "sensor", "standoff", "standoff_m")
+OF_THE_BENCHMARK = ("pose", "sensor", "standoff", "standoff_m")
 
 
 def _ending(name: str) -> str:
@@ -98,20 +99,35 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     return table
 
 
-def load_plant(path: str | Path) -> PlantConfig:
+def load_plant(path: str | Path, passed_over: Collection[str] = ()) -> PlantConfig:
     """Read a `PlantConfig` from a TOML file; its keys are the fields, at top level or under [plant].
 
-    Tables [pose] and [sensor] and the key `standoff` belong to the benchmark
-    (`surffollow.benchmark.conditions`) and are passed over.
-
     Values are SI numbers or text with a unit (`tau = "40 ms"`).
+
+    Parameters
+    ----------
+    path : the file
+    passed_over : keys and tables that the caller reads itself
 
     Raises
     ------
     ConfigError
-        when the file cannot be read, is not TOML, or has an unknown key or a value out of range
+        when the file cannot be read, is not TOML, has an unknown key or table, a key both at top level and
+        under [plant], or a value out of range
     """
-    axis = {k: v for k, v in plant_keys(read_tables(path)).items() if k not in _OF_THE_BENCHMARK}
+    tables = read_tables(path)
+    if not isinstance(tables.get("plant", {}), dict):
+        raise ConfigError(f"plant '{path}': plant is no table; write [plant], or its keys at top level")
+    twice = sorted(set(tables) & set(tables.get("plant", {})))
+    if twice:
+        raise ConfigError(f"plant '{path}' has '{twice[0]}' at top level and under [plant]; keep one of them")
+    axis = {k: v for k, v in plant_keys(tables).items() if k not in passed_over}
+    foreign = [k for k in axis if k in OF_THE_BENCHMARK]
+    if foreign:
+        raise ConfigError(
+            f"plant '{path}' has '{foreign[0]}', which only surffollow benchmark reads; here the keys are "
+            f"{', '.join(PlantConfig.__struct_fields__)}"
+        )
     return from_table(axis, PlantConfig, f"plant '{path}'")
 
 

@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import UsageError
 from surffollow.sim.profiles import MARGIN_M, SPACING_M, Profile, grid_x, made
 
+MAX_HEIGHT_M = 1e5  # beyond, a square of a height says nothing about millimetres
+MAX_POINTS = 20_000_000  # 160 MB per column
 PEAK_TO_PEAK_M = 0.03  # a measured row is scaled to the height of the FY91 field
 
 
@@ -64,7 +67,8 @@ def read_csv(path: str | Path) -> Profile:
     Raises
     ------
     UsageError
-        when the file cannot be read, has fewer than two rows, or x does not grow from row to row
+        when the file cannot be read, has fewer than two rows, x does not grow from row to row, or a number is
+        out of bounds
     """
     try:
         with open(path, encoding="utf-8-sig") as stream:
@@ -83,14 +87,32 @@ def read_csv(path: str | Path) -> Profile:
         raise UsageError(f"surface '{path}' has a row that is not two numbers: {error}") from error
     if len(rows) < 2 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0.0).any():
         raise UsageError(f"surface '{path}' needs two or more finite rows with x_m growing from row to row")
+    for column, values, most_m in (
+        ("x_m", rows[:, 0], MAX_POSITION_M),
+        ("height_m", rows[:, 1], MAX_HEIGHT_M),
+    ):
+        largest = float(values[np.abs(values).argmax()])
+        if abs(largest) > most_m:
+            raise UsageError(f"surface '{path}' has the {column} {largest:g}, expected at most ±{most_m:g} m")
+    n, spacing_m, length_m = _grid_of(rows[:, 0])
+    if n > MAX_POINTS:
+        raise UsageError(
+            f"surface '{path}' is {length_m:g} m long, expected at most {MAX_POINTS * spacing_m:g} m at the "
+            f"spacing of {1e3 * spacing_m:g} mm; take a part of it"
+        )
     return from_points(Path(path).stem, rows[:, 0], rows[:, 1])
+
+
+def _grid_of(x_m: NDArray[np.float64]) -> tuple[int, float, float]:
+    """Number of heights on a regular grid over points, its spacing [m], and the length of their path [m]."""
+    length_m = float(x_m[-1] - x_m[0])
+    spacing_m = min(SPACING_M, max(float(np.diff(x_m).min()), 0.1e-3))
+    return int(np.ceil((length_m + 2 * MARGIN_M) / spacing_m)) + 1, spacing_m, length_m
 
 
 def from_points(name: str, x_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> Profile:
     """Put points (x growing) on a regular grid fine enough for them, at most 0.5 mm."""
-    length = float(x_m[-1] - x_m[0])
-    spacing = min(SPACING_M, max(float(np.diff(x_m).min()), 0.1e-3))
-    n = int(np.ceil((length + 2 * MARGIN_M) / spacing)) + 1
+    n, spacing, length = _grid_of(x_m)
     grid = x_m[0] - MARGIN_M + spacing * np.arange(n)
     heights = np.interp(grid, x_m, height_m)
     return Profile(name, float(grid[0]), spacing, heights, start_m=float(x_m[0]), length_m=length)

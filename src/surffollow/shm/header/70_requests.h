@@ -231,6 +231,14 @@ static inline int sf_release_pose(sf_client *c) {
   return sf_i_ask(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, c->options.timeout_ns, 0);
 }
 
+/* Release what this client holds or is claiming, so that its end is no loss; a service that is silent is not waited for. */
+static inline void sf_i_give_pose_back(sf_client *c) {
+  if (c->slot_memory == NULL || !c->had_pose || !sf_i_slot_is_open(c)) return;
+  const int64_t timeout_ns = c->options.timeout_ns < SF_EXCHANGE_NS ? c->options.timeout_ns : SF_EXCHANGE_NS;
+  c->had_pose = c->pose_held = 0;
+  (void)sf_i_ask(c, SF_RQ_RELEASE_POSE, 0, NULL, NULL, timeout_ns, 0);
+}
+
 /* Check a pose; a quaternion's norm may be off by 1e-3 and is then made 1. */
 static inline int sf_i_check_pose(const double pose[7], double out[7]) {
   double norm2 = 0.0;
