@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surffollow.errors import ConfigError
-from surffollow.sim.plant import OF_THE_BENCHMARK, PlantConfig, axis_step, load_plant, setpoint_for
+from surffollow.sim.plant import PlantConfig, axis_step, load_plant, setpoint_for
 
 DT_S = 1e-3
 
@@ -88,11 +88,9 @@ def test_plant_file_is_read_and_a_wrong_key_or_value_is_refused(tmp_path) -> Non
     assert load_plant(good) == PlantConfig(tau_s=0.028, v_max_mps=0.3)
     good.write_text("[plant]\ntau_s = 0.06\n")
     assert load_plant(good).tau_s == 0.06
-    # GIVEN a table of the benchmark, THEN only a caller that reads it itself is given the rest
+    # GIVEN a table of the benchmark THEN it is passed over: one file serves both
     good.write_text('tau = "28 ms"\nv_max_mps = "300 mm/s"\n[sensor]\nsigma = "0.5 mm"\n')
-    assert load_plant(good, OF_THE_BENCHMARK) == PlantConfig(tau_s=0.028, v_max_mps=0.3)
-    with pytest.raises(ConfigError, match="'sensor', which only surffollow benchmark reads"):
-        load_plant(good)
+    assert load_plant(good) == PlantConfig(tau_s=0.028, v_max_mps=0.3)
     good.write_text("tau = 0.03\n[plant]\ntau = 0.04\n")
     with pytest.raises(ConfigError, match=r"'tau' at top level and under \[plant\]"):
         load_plant(good)

@@ -8,7 +8,6 @@ demand refers to, never to a newer one.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -48,7 +47,7 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _UNITS = {"_mps2": "m/s^2", "_mps": "m/s", "_hz": "Hz", "_m": "m", "_s": "s"}
-OF_THE_BENCHMARK = ("pose", "sensor", "standoff", "standoff_m")
+_OF_THE_BENCHMARK = ("pose", "sensor", "standoff", "standoff_m")
 
 
 def _ending(name: str) -> str:
@@ -99,15 +98,13 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     return table
 
 
-def load_plant(path: str | Path, passed_over: Collection[str] = ()) -> PlantConfig:
+def load_plant(path: str | Path) -> PlantConfig:
     """Read a `PlantConfig` from a TOML file; its keys are the fields, at top level or under [plant].
 
-    Values are SI numbers or text with a unit (`tau = "40 ms"`).
+    Tables [pose] and [sensor] and the key `standoff` belong to the benchmark
+    (`surffollow.benchmark.conditions`) and are passed over: one file serves both.
 
-    Parameters
-    ----------
-    path : the file
-    passed_over : keys and tables that the caller reads itself
+    Values are SI numbers or text with a unit (`tau = "40 ms"`).
 
     Raises
     ------
@@ -121,13 +118,7 @@ def load_plant(path: str | Path, passed_over: Collection[str] = ()) -> PlantConf
     twice = sorted(set(tables) & set(tables.get("plant", {})))
     if twice:
         raise ConfigError(f"plant '{path}' has '{twice[0]}' at top level and under [plant]; keep one of them")
-    axis = {k: v for k, v in plant_keys(tables).items() if k not in passed_over}
-    foreign = [k for k in axis if k in OF_THE_BENCHMARK]
-    if foreign:
-        raise ConfigError(
-            f"plant '{path}' has '{foreign[0]}', which only surffollow benchmark reads; here the keys are "
-            f"{', '.join(PlantConfig.__struct_fields__)}"
-        )
+    axis = {k: v for k, v in plant_keys(tables).items() if k not in _OF_THE_BENCHMARK}
     return from_table(axis, PlantConfig, f"plant '{path}'")
 
 
