@@ -239,10 +239,11 @@ class NaiveResponse:
     def _ceiling_m(self, z_m: float) -> float:
         """Two lifts and what the run climbs in an answer, within the window; over ground that is level."""
         sees_m = self.far_m - self.run_m
-        sees_m = sees_m - 0.5 * self.standoff_m if sees_m > self.standoff_m else sees_m / 2.0
+        sees_m = max(sees_m - r.MARGIN * self.standoff_m, sees_m / 2.0)
         sees_m += self.low_z_m if self.rose else self.top_z_m
         rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps) if self.rates_mps else 0.0
-        return min(z_m + 2.0 * self.lift_m + rate_mps * self.answer_s, max(sees_m, z_m + self.lift_m))
+        climbed_m = rate_mps * (self.answer_s + self.tau_s)
+        return min(z_m + 2.0 * self.lift_m + climbed_m, max(sees_m, z_m + self.lift_m))
 
     def _lead_m(self, z_m: float) -> float:
         return self.setpoint_m - z_m - self.climb_mps * (self.tau_s + self.delay_s)

@@ -25,7 +25,7 @@ SWINGS = (3.0, 4.5)
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
 # of the lift in an ascent: who misses less has obeyed. The setpoint of another tool stays ahead by all of it
 OBEYED = 0.65
-MARGIN = 0.5  # of the stand-off, kept to the end of the window for uneven ground
+MARGIN = 1.0  # stand-offs kept to the end of the window: a lift, and uneven ground
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 
 
@@ -51,7 +51,8 @@ def _ceiling_m(params, adaptive, tool_z_m, lift_m):
     It may climb in an answer as it did in the run, but no farther than the sensor sees the ground of when the
     run began, or than that ground rises. A good sensor over rising ground answers when the tool stops there.
     """
-    run, lasts_s, standoff_m = adaptive.run, answer_s(adaptive, MIN_MEANS), params.offset_m
+    run, standoff_m = adaptive.run, params.offset_m
+    lasts_s = answer_s(adaptive, MIN_MEANS) + adaptive.plant.tau_s  # the setpoint is ahead of the tool
     room_m, begun_z_m = params.range_max_m - run.range_m, run.top_z_m
     if adaptive.response.rises != 0:
         begun_z_m = run.low_z_m
