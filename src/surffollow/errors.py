@@ -228,3 +228,8 @@ class ScanFileError(FaultError):
 
 class DriverError(FaultError):
     """A sensor driver that cannot start or go on."""
+
+
+def escaped(text: str) -> str:
+    """Text for a message in which no character controls a terminal, as in names of files and columns."""
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)

@@ -119,7 +119,7 @@ def test_a_name_with_control_characters_controls_no_terminal(
 ) -> None:
     # WHEN a command reports a file whose name has such characters
     with pytest.raises(SystemExit):
-        main_module.main(["map", "info", str(tmp_path / "a\x1b[31mµ")])
+        main_module.main(["plot", str(tmp_path / "a\x1b[31mµ.csv")])
     # THEN they are escaped, and other characters are not
     said = capsys.readouterr().err
     assert "a\\x1b[31mµ" in said

@@ -7,6 +7,12 @@ import math
 import pytest
 
 from surffollow.benchmark.job_loop import Job, follow
+from surffollow.forecast.sensing import response
+from surffollow.forecast.sensing.constant_ranges import MIN_MEANS
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+
+from .feeding import default_params
 
 # stand-off, τ, readings, poses, limits, noise, window: an axis that moves by 1.5 stand-offs in τ
 TORCH = Job(0.004, 0.03, 0.002, 0.005, 0.2, 4.0, 0.05e-3, (0.5e-3, 0.012))
@@ -40,3 +46,20 @@ def test_a_torch_whose_sensor_fails_for_a_while_comes_back(offset, noise):
         assert clearance.min() > 0.3
         assert abs(clearance[again:] - 1.0).max() < 0.2
         assert {s["health"] for s in run.states[again:]} == {"OK"}
+
+
+def test_the_ceiling_rises_with_ground_that_rose_when_the_run_began():
+    """GIVEN a range that is constant over rising ground THEN the tool may climb with it in an answer."""
+    a = zeros(AdaptiveState)[0]
+    params = default_params()
+    params["offset_m"], params["range_max_m"] = 0.1, 0.15
+    a["plant"]["tau_s"], a["prediction"]["interval_s"], a["latency"]["delay_s"] = 0.04, 0.004, 0.03
+    a["kinematics"]["speed_mps"], a["response"]["rises"] = 0.1, 1
+    a["run"]["range_m"], a["run"]["rate_mps"] = 0.1, 1.0  # a tool that follows itself
+    t_s = response.answer_s(a, MIN_MEANS) + 0.04
+    for slope, allowed_m in ((-0.5, 0.0), (0.0, 0.0), (0.5, 0.5 * 0.1 * t_s)):
+        a["run"]["slope"] = slope
+        # the tool is 0.1 m above where the run began, which is beyond what the sensor sees from there
+        assert response._ceiling_m(params, a, 0.1, 2e-3) == pytest.approx(0.102 + allowed_m)
+    a["run"]["rate_mps"] = 0.01
+    assert response._ceiling_m(params, a, 0.1, 2e-3) == pytest.approx(0.104 + 0.01 * t_s)

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from surffollow.cli import old_names
-from surffollow.errors import FaultError, SurffollowError, UsageError
+from surffollow.errors import FaultError, SurffollowError, UsageError, escaped
 from surffollow.extras import missing_library
 from surffollow.shm.ending_signals import Terminated
 
@@ -228,11 +228,6 @@ def main(argv: list[str] | None = None) -> Any:
         throw_output_away()
         print(f"surffollow: cannot write the output: {e.strerror}", file=sys.stderr)
         sys.exit(1)
-
-
-def escaped(text: str) -> str:
-    """A message in which no character controls the terminal: names of files and columns may have such."""
-    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
 
 
 def throw_output_away() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import UsageError
+from surffollow.errors import UsageError, escaped
 from surffollow.record.columns import Columns
 from surffollow.record.mcap_reader import MAGIC
 from surffollow.units import decimal_number, numbers_text, unit_scale
@@ -129,7 +129,7 @@ def _text(path: str | Path) -> str:
 
 def _shown(text: str) -> str:
     """Text of a file for a message, not longer than a line; no character of it controls a terminal."""
-    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    text = escaped(text)
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
 
 
