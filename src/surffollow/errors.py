@@ -231,5 +231,21 @@ class DriverError(FaultError):
 
 
 def escaped(text: str) -> str:
-    """Text for a message in which no character controls a terminal, as in names of files and columns."""
+    r"""Text for a message in which no character controls a terminal, as in names of files and columns.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+        the text, in it an escape sequence for each character that is not printable
+
+    Examples
+    --------
+    >>> from surffollow.errors import escaped
+    >>> print(escaped("a name\x1b[2J"))
+    a name\x1b[2J
+    """
     return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
