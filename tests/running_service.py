@@ -23,6 +23,7 @@ from surffollow.config.service import ServiceConfig, load_config
 from surffollow.errors import BusyError, NotRunningError
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.objects import unlink
+from surffollow.sim.robot_run import FIFO_PRIORITY
 from surffollow.sim.world import WorldPose, WorldWriter
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 READY_S = 1200.0  # a start on a busy machine with a cold kernel cache
 WAIT_S = 60.0  # only there to fail
 PATIENT_S = 1.0  # silence that a busy machine may cause and that is not what a test is about
+PRIORITY = FIFO_PRIORITY + 1  # of a service: a simulated robot beside it is below it, as by default
 STANDOFF_M = 0.1
 POSE = (0.05, 0.05, STANDOFF_M, 0.0, 0.0, 0.0, 1.0)
 # a service takes the last processor unless told otherwise: tests keep off those that run beside
@@ -111,7 +113,7 @@ def config_text(
 ) -> str:
     """A small configuration; `tables` adds lines to [realtime], [map], [access], [driver] or [follow]."""
     lines = {
-        "realtime": f'lock_memory = false\npriority = 10\nspin = "20 us"\ncpu = {QUIET_CPU}\n',
+        "realtime": f'lock_memory = false\npriority = {PRIORITY}\nspin = "20 us"\ncpu = {QUIET_CPU}\n',
         "map": f"grids = {grids}\n",
         "access": "",
         "driver": f'kind = "{kind}"\n',

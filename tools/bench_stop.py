@@ -37,7 +37,7 @@ from surffollow.errors import NotRunningError, SurffollowError  # noqa: E402
 from surffollow.shm.latch_shape import latch_bytes  # noqa: E402
 from surffollow.sim.robot import RobotCore  # noqa: E402
 from surffollow.sim.robot_config import RobotConfig  # noqa: E402
-from surffollow.sim.robot_run import claim_priority  # noqa: E402
+from surffollow.sim.robot_run import hardware_priority  # noqa: E402
 from surffollow.sim.robot_stop import REST_MPS, time_to_rest_s  # noqa: E402
 from surffollow.sim.world import WorldPose, WorldWriter  # noqa: E402
 from surffollow.sim.world_surface import WorldConfig  # noqa: E402
@@ -278,8 +278,8 @@ def main() -> int:
     parser.add_argument("--retract", action="store_true")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    claim_priority()
-    return finish(run(options.trials, options.seed, 0.02 if options.retract else 0.0))
+    with hardware_priority():
+        return finish(run(options.trials, options.seed, 0.02 if options.retract else 0.0))
 
 
 if __name__ == "__main__":

@@ -127,26 +127,27 @@ def test_the_tool_is_at_rest_in_time_whatever_is_taken_away() -> None:
 
 POLICIES = """
 import os, threading
-from surffollow.sim.robot_run import claim_priority
-claim_priority()
-seen = [os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK]
-thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0)))
-thread.start()
-thread.join()
-child = os.fork()
-if child == 0:
-    os._exit(os.sched_getscheduler(0))
-print(*seen, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+from surffollow.sim.robot_run import hardware_priority
+with hardware_priority():
+    seen = [os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK]
+    thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0)))
+    thread.start()
+    thread.join()
+    child = os.fork()
+    if child == 0:
+        os._exit(os.sched_getscheduler(0))
+    seen.append(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+print(*seen, os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK)
 """
 
 
-def test_a_robot_does_not_hand_its_priority_on() -> None:
+def test_a_robot_neither_hands_its_priority_on_nor_keeps_it() -> None:
     """GIVEN a robot under SCHED_FIFO WHEN it starts a program or a thread THEN that has the usual priority.
 
     Services that loaded their kernels under SCHED_FIFO kept a processor for ever.
     """
     done = subprocess.run([sys.executable, "-c", POLICIES], capture_output=True, text=True, check=True)
-    own, thread, child = map(int, done.stdout.split())
+    own, thread, child, afterwards = map(int, done.stdout.split())
     if own != os.SCHED_FIFO:
         pytest.skip("this user may not use SCHED_FIFO")
-    assert (thread, child) == (os.SCHED_OTHER, os.SCHED_OTHER)
+    assert (thread, child, afterwards) == (os.SCHED_OTHER, os.SCHED_OTHER, os.SCHED_OTHER)

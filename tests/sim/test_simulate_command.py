@@ -169,8 +169,8 @@ def test_wrong_unit_is_refused_before_anything_starts() -> None:
     assert "speed" in result.output
 
 
-def test_wrong_surface_and_missing_service_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surffollow.sim.robot_run.claim_priority", lambda: None)
+def test_wrong_surface_and_missing_service_are_named() -> None:
+    before = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     for arguments, error in (
         (["--surface", "moon"], ConfigError),
         ([*SMALL, "--wait", "0"], NotRunningError),
@@ -179,3 +179,5 @@ def test_wrong_surface_and_missing_service_are_named(monkeypatch: pytest.MonkeyP
         result = CliRunner().invoke(simulate_command, arguments)
         assert isinstance(result.exception, error), result.output
         assert ("no arbiter 'nosuch' runs here" in str(result.exception)) == ("nosuch" in arguments)
+        # AND the process that ran the command goes before no other any more
+        assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == before

@@ -179,7 +179,7 @@ def _execute(
     from surffollow.apps.scan_run import execute
     from surffollow.cli.progress import progress_line
     from surffollow.client import Client, attach, observe
-    from surffollow.sim.robot_run import claim_priority
+    from surffollow.sim.robot_run import hardware_priority
 
     def prepare(client: Any) -> None:
         if install is not None:
@@ -192,8 +192,7 @@ def _execute(
                 raise NotRunningError(f"service '{name}' has ended or stands still")
         return attach(name, label="scan run")
 
-    claim_priority()
-    with progress_line() as show:
+    with hardware_priority(), progress_line() as show:
         return execute(
             planned,
             name,

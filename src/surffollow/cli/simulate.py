@@ -258,13 +258,12 @@ def _run(
 ) -> dict[str, Any]:
     from surffollow.errors import RefusedError
     from surffollow.map.formats.atomic_file import check_place, replacing
-    from surffollow.sim.robot_run import claim_priority, run_robot
+    from surffollow.sim.robot_run import hardware_priority, run_robot
 
     if trace:
         check_place(trace)
-    claim_priority()
     try:
-        with _StopSignals() as stopped:
+        with hardware_priority(), _StopSignals() as stopped:
             core, summary = run_robot(config, name, attachment, stopped, wait_s, standstill, own_standoff)
     except RefusedError as refused:
         if own_standoff or "offset_m" not in str(refused):

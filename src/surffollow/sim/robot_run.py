@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
 import msgspec
@@ -213,13 +213,22 @@ def held_too_long(ticks: int, held: int) -> bool:
     return held > HELD_PART * ticks + HELD_TICKS
 
 
-def claim_priority() -> None:
-    """Let this thread go before others, where permitted: hardware does not wait for a busy machine.
+@contextlib.contextmanager
+def hardware_priority() -> Iterator[None]:
+    """Let this thread go before others meanwhile, where permitted: hardware does not wait for a busy machine.
 
     Programs and threads that it starts are not hardware: they begin at the usual priority.
     """
+    before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(FIFO_PRIORITY))
+    try:
+        yield
+    finally:
+        # a user without rights cannot take the reset at a fork back
+        for policy in (before | os.SCHED_RESET_ON_FORK, before):
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, policy, parameters)
 
 
 def run_robot(
