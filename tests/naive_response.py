@@ -253,7 +253,7 @@ class NaiveResponse:
         if self.rose:
             missing_m = self._lead_m(z_m) - self.lead_before_m
         self.misses_m += (missing_m - self.misses_m) / ((4.0 if self.rose else 2.0) * self.number)
-        late_s, longest_s = (t_ns - self.begin_ns) * 1e-9 - self.answer_s, r.ANSWER_TAUS * self.tau_s
+        late_s, longest_s = (t_ns - self.begin_ns) * 1e-9 - self.answer_s, c.ANSWER_TAUS * self.tau_s
         if late_s <= 0.0 or (self.rose and late_s <= longest_s):
             return
         if self.phase == HOLD:

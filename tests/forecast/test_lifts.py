@@ -9,8 +9,10 @@ import pytest
 from surffollow.benchmark.job_loop import Job, follow
 from surffollow.forecast.sensing import response
 from surffollow.forecast.sensing.constant_ranges import MIN_MEANS
+from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_FAILED, RESPONSE_LIFT
 
 from .feeding import default_params
 
@@ -63,3 +65,34 @@ def test_the_ceiling_rises_with_ground_that_rose_when_the_run_began():
         assert response._ceiling_m(params, a, 0.1, 2e-3) == pytest.approx(0.102 + allowed_m)
     a["run"]["rate_mps"] = 0.01
     assert response._ceiling_m(params, a, 0.1, 2e-3) == pytest.approx(0.104 + 0.01 * t_s)
+
+
+def test_behind_a_test_without_an_answer_the_ceiling_rises_on_with_the_ground_of_before():
+    """GIVEN a stuck sensor over ground that rose WHEN time passes THEN the tool may rise on as far as it."""
+    a = zeros(AdaptiveState)[0]
+    a["response"]["ceiling_z_m"], a["response"]["test_ns"] = 0.2, 5 * 10**9
+    a["kinematics"]["speed_mps"], a["clock"]["now_ns"] = 0.1, 7 * 10**9
+    for phase, slope, highest_m in (
+        (RESPONSE_FAILED, 0.3, 0.2 + 0.3 * 0.1 * 2.0),
+        (RESPONSE_FAILED, -0.3, 0.2),
+        (RESPONSE_LIFT, 0.3, 0.2),  # a good sensor answers there
+    ):
+        a["response"]["phase"], a["run"]["lasting_slope"] = phase, slope
+        assert setpoint_range(a, 0.0)[1] == pytest.approx(highest_m)
+
+
+def test_the_ceiling_does_not_fall_behind_missing_readings():
+    """GIVEN a stuck sensor over ground that rose WHEN readings are missing THEN the ceiling rises on."""
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    params["offset_m"] = 0.1
+    a["prediction"]["interval_s"], a["plant"]["tau_s"], a["noise"]["range_sigma_m"] = 4e-3, 0.04, 2e-4
+    a["response"]["t_ns"], a["response"]["test_ns"] = 10**9, 8 * 10**8
+    a["response"]["phase"], a["kinematics"]["speed_mps"] = RESPONSE_FAILED, 0.1
+    a["run"]["mean_m"] = a["run"]["range_m"] = a["run"]["standoff_m"] = 0.1
+    a["run"]["band_m"], a["run"]["lasting_slope"] = 0.01, 0.3
+    a["clock"]["now_ns"] = 10**9
+    before_m = setpoint_range(a, 0.0)[1]
+    a["clock"]["now_ns"] = 2 * 10**9
+    response.observe_response(params, a, 2 * 10**9, 0.1, 0.0, 0.0)
+    assert a["response"]["phase"] == RESPONSE_FAILED
+    assert setpoint_range(a, 0.0)[1] == pytest.approx(before_m + 0.03)

@@ -130,6 +130,8 @@ class ConstantRanges(Schema):
     band_m = F64(unit="m", doc="change of the mean range that noise explained then")
     standoff_m = F64(unit="m", doc="stand-off then")
     slope = F64(doc="slope of the ground then")
+    lasting_slope = F64(doc="its mean over the time before")
+    mean_slope = F64(doc="mean slope of the ground lately")
     top_z_m = F64(unit="m", doc="greatest height of the tool in the run")
     low_z_m = F64(unit="m", doc="least height of the tool in the run")
     rate_mps = F64(unit="m/s", doc="mean rate at which it rose or descended in the run")

@@ -16,9 +16,8 @@ from surffollow.forecast.attitude.plane_fit import slope_gain
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.pose import rotate, rotation_between, to_world
 from surffollow.forecast.quantities import tolerated_gap_s
-from surffollow.forecast.sensing.constant_ranges import MIN_MEANS, MOTION_BANDS
+from surffollow.forecast.sensing.constant_ranges import ANSWER_TAUS, MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.mean_range import RUN_SAMPLES, TEST_BAND_FACTOR, is_suspicious
-from surffollow.forecast.sensing.response import ANSWER_TAUS
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 from surffollow.shm.layout_follow import RUN_NORMAL

@@ -21,6 +21,7 @@ MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before 
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
 USUAL_ERRORS = 3.0  # errors up to so many usual ones, as over ground that accelerates, are no sign of a fault
 MAX_USUAL_ERROR = 0.03  # of the stand-off: another controller may have led the tool far away from it
+ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 
 
@@ -28,7 +29,8 @@ MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a r
 def begin_run(params, adaptive, tool_z_m, range_m):
     """Begin a run of ranges with this mean, over the present slope, for this stand-off."""
     run = adaptive.run
-    run.slope, run.standoff_m = adaptive.estimate.slope, params.offset_m
+    run.slope, run.lasting_slope = adaptive.estimate.slope, run.mean_slope
+    run.standoff_m = params.offset_m
     run.range_m, run.mean_m, run.samples, run.rate_mps = range_m, range_m, 0, 0.0
     run.top_z_m = run.low_z_m = tool_z_m
     run.band_m = mean_range.range_band_m(adaptive)
@@ -42,7 +44,7 @@ def moves_tool(response):
 
 @jit
 def update_mean(adaptive, range_m, sigma_m, most_m):
-    """Update the running mean, its spread, the mean of the run, and the usual error outside tests.
+    """Update the running mean, its spread, the mean of the run, the usual error outside tests, and the slope.
 
     Parameters
     ----------
@@ -62,6 +64,8 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
         error_m = min(abs(run.mean_m - run.standoff_m), MAX_USUAL_ERROR * run.standoff_m)
         run.error_m += SLOW_RATE * (error_m - run.error_m)
     run.samples += 1
+    rate = min(1.0, adaptive.prediction.interval_s / (ANSWER_TAUS * adaptive.plant.tau_s))
+    run.mean_slope += rate * (adaptive.estimate.slope - run.mean_slope)
     # its own mean is the better known one, but in the test of a descent the middle of a spread is
     if adaptive.response.swing_m == 0.0 and number < run.samples < mean_range.RUN_SAMPLES:
         run.range_m += (run.mean_m - run.range_m) / run.samples

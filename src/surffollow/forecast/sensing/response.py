@@ -12,7 +12,7 @@ must then change by more than it varied.
 
 from surffollow.forecast.quantities import APART_M, tolerated_gap_s
 from surffollow.forecast.sensing import constant_ranges, mean_range
-from surffollow.forecast.sensing.constant_ranges import MAX_DESCENT, MIN_MEANS, MOTION_BANDS
+from surffollow.forecast.sensing.constant_ranges import ANSWER_TAUS, MAX_DESCENT, MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
 from surffollow.shm import layout_adaptive_sensing as layout
@@ -26,7 +26,6 @@ STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the de
 # of the lift in an ascent: who misses less has obeyed. The setpoint of another tool stays ahead by all of it
 OBEYED = 0.65
 MARGIN = 1.0  # stand-offs kept to the end of the window: a lift, and uneven ground
-ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 
 
 @jit
@@ -194,7 +193,7 @@ def _update_test(params, adaptive, tool_z_m):
         obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * adaptive.run.rate_mps
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
     if is_repeated(adaptive.repeats) or (applied and obeyed):
-        response.phase = layout.RESPONSE_FAILED
+        response.phase, response.test_ns = layout.RESPONSE_FAILED, response.t_ns
     elif late_s > longest_s:
         _begin_run(params, adaptive, tool_z_m, adaptive.run.mean_m)
 
@@ -248,7 +247,8 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     noise_m = mean_range.BAND_SIGMAS * sigma_m
     begins = response.t_ns == 0 or t_ns < response.t_ns
     if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s):
-        response.test_ns = t_ns  # an answer takes time with samples
+        if response.phase != layout.RESPONSE_FAILED:
+            response.test_ns = t_ns  # an answer takes time with samples
         if response.phase == layout.RESPONSE_RUN:
             response.test_z_m = tool_z_m
     response.t_ns = t_ns

@@ -59,7 +59,7 @@ static inline const char *sf_strerror(int result) {
     case SF_ERR_RANGE_TIME: return "a range's time is newer than its channel's last one, at most 1 ms ahead and 1 s ago; use CLOCK_MONOTONIC";
     case SF_ERR_NOT_RUNNING: return "no live service of that name; start it: surffollow start --name ...";
     case SF_ERR_NO_PERMISSION: return "no permission; join the group of the board and the socket (ls -l /dev/shm): sf_observe needs the board, sf_attach both";
-    case SF_ERR_NOT_READY: return "the service is starting or being replaced; try again";
+    case SF_ERR_NOT_READY: return "the service starts, is being replaced or stands still; try again";
     case SF_ERR_LAYOUT: return "the service is of another release than this header; rebuild or restart";
     case SF_ERR_BLOCK: return "the shared-memory object is damaged or not one; restart the service";
     case SF_ERR_SLOTS: return "all client slots are taken, or as many as this user or process may have (the client's detail); end a client";
