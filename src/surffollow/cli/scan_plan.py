@@ -50,7 +50,7 @@ from surffollow.cli.scan_options import (
     type=ACCELERATION,
     default="2.66",
     show_default=True,
-    help="Greatest acceleration along the path [m/s²].",
+    help="Greatest acceleration along and across the path [m/s²].",
 )
 @click.option("--wrist", type=ANGLE, default="45deg", show_default=True, help="Limit of both wrist angles.")
 @click.option(
@@ -151,7 +151,8 @@ def plan_command(
 def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> None:
     """Check a path file against MAP: clearance, flags, limits, coverage. Exit code 1: not accepted.
 
-    Speeds may exceed their limits by 2 % and accelerations by 10 %: they are quotients of rounded rows.
+    Speeds and turn rates may exceed their limits by 2 %, accelerations by 10 %: they are quotients of
+    rounded rows.
     A swath that is wider than the body is a warning: it is the sensor's width then.
     """
     from surffollow.scan.check import check_path

@@ -24,11 +24,11 @@ from surffollow.scan.check_clearance import (
 from surffollow.scan.check_coverage import check_coverage, check_swath
 from surffollow.scan.check_file import Array, Facts, Poses, between, read_rows
 from surffollow.scan.check_finding import Finding
+from surffollow.scan.check_motion import check_motion
 from surffollow.scan.check_placement import control_points, rotations
 
 ANGLE_SPARE_RAD = 1e-6
 CHORD_RAD = 0.01  # angles, mixed linearly between rows, leave their limits by less
-MOTION_SPARE, ACCELERATION_SPARE = 1.02, 1.1  # quotients of differences of rows
 OUT_OF_REACH, WRIST_LIMIT = 64, 8
 
 
@@ -90,7 +90,7 @@ def check_path(
         check_unknown_ground(*place, every, len(rows.flags), facts),
         _wrist(axes, rows.azimuth, facts.wrist, rotations(inner.quaternion), inner.azimuth),
         _reach(rows.flags, rows.passes),
-        *_motion(at["t_s"], rows.position, facts.speed, facts.acceleration, facts.climb),
+        *check_motion(at["t_s"], rows.position, axes[:, :, 2], facts),
         check_coverage(*place, every, facts.swath, facts.region),
         check_swath(grid_m, rows, every, facts.swath, facts.body, facts.region),
     ]
@@ -146,29 +146,3 @@ def _beyond_wrist(axes: Array, azimuth: Array, limits: list[float]) -> float:
 def _reach(flags: NDArray[np.int64], passes: NDArray[np.int64]) -> Finding:
     out = int(np.count_nonzero((flags & OUT_OF_REACH != 0) & (passes >= 0)))
     return Finding("reach", out == 0, f"{out} samples of passes are out of the arm's reach", out)
-
-
-def _motion(t: Array, position: Array, speed: float, acceleration: float, climb: float) -> list[Finding]:
-    dt = np.diff(t)
-    if len(dt) == 0 or not (dt > 0.0).all():
-        return [Finding("speed", False, "times do not ascend")]
-    across = np.hypot(np.diff(position[:, 0]), np.diff(position[:, 1])) / dt
-    with np.errstate(invalid="ignore"):
-        up = np.abs(np.diff(position[:, 2])) / dt
-    fast = float(across.max())
-    steep = float(np.nanmax(up)) if np.isfinite(up).any() else 0.0
-    change = np.abs(np.diff(across)) / (0.5 * (dt[1:] + dt[:-1]))
-    hard = float(change.max()) if len(change) else 0.0
-    spare, hard_spare = f"(tolerance {MOTION_SPARE - 1:.0%})", f"(tolerance {ACCELERATION_SPARE - 1:.0%})"
-    return [
-        Finding("speed", fast <= speed * MOTION_SPARE, f"{fast:.4g} m/s of {speed:g} m/s {spare}", fast),
-        Finding(
-            "climb", steep <= climb * MOTION_SPARE, f"{steep:.4g} m/s of {climb:g} m/s upwards {spare}", steep
-        ),
-        Finding(
-            "acceleration",
-            hard <= acceleration * ACCELERATION_SPARE,
-            f"{hard:.4g} m/s² of {acceleration:g} m/s² along the path {hard_spare}",
-            hard,
-        ),
-    ]

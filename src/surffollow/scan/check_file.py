@@ -36,7 +36,9 @@ class Facts:
     swath: float
     speed: float
     acceleration: float
+    lateral: float
     climb: float
+    tilt: float
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,8 @@ def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
         numbers("body_m", 3, (1, MAX_POINTS)),
         numbers("region_m", 2, (3, MAX_POINTS)),
         numbers("wrist_rad", 4, (1, 1))[0].tolist(),
-        *(positive(k) for k in ("gap_m", "swath_m", "speed_mps", "acceleration_mps2", "vertical_mps")),
+        *(positive(k) for k in ("gap_m", "swath_m", "speed_mps", "acceleration_mps2")),
+        *(positive(k) for k in ("lateral_mps2", "vertical_mps", "tilt_radps")),
     )
 
 

@@ -38,7 +38,10 @@ COLUMNS = (
 )
 
 DECIMALS = 9  # nanometres and nanoseconds, wherever the origin is: rows lie far farther apart
-NUMBERS = ("gap_m", "grid_m", "swath_m", "speed_mps", "acceleration_mps2", "lateral_mps2", "vertical_mps")
+NUMBERS = (
+    *("gap_m", "grid_m", "swath_m", "speed_mps", "acceleration_mps2", "lateral_mps2", "vertical_mps"),
+    "tilt_radps",
+)
 # of arrays, possible lengths of each axis
 ARRAYS: dict[str, tuple[tuple[int, ...], ...]] = {
     "body_m": ((), (3,)),

@@ -17,11 +17,12 @@ from surffollow.scan.clearance import clear_ground
 from surffollow.scan.envelope import Envelope, envelope_of
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
 from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.kept_limits import limited_tilt, refuse_fast
 from surffollow.scan.limits import WorkSpace, WristLimits
-from surffollow.scan.path import OUT_OF_REACH, STOP, ScanPath, flag_counts
+from surffollow.scan.path import OUT_OF_REACH, STOP, WRIST_LIMIT, ScanPath, flag_counts
 from surffollow.scan.schemes import arcs, lanes
 from surffollow.scan.serpentine import outline
-from surffollow.scan.shaped_motion import SAMPLES_PER_PERIOD, limited_climb, shaped_planar
+from surffollow.scan.shaped_motion import SAMPLES_PER_PERIOD, limited_climb, shaped_within
 from surffollow.scan.shaping import Shaper
 from surffollow.scan.swath import body_width
 from surffollow.scan.timing import MotionLimits, timed
@@ -138,20 +139,28 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
     span = settings.span_m if settings.span_m is not None else max(ground.grid_m, 0.5 * radius)
 
     def laid(planar: ScanPath) -> ScanPath:
-        made = sample_terrain(planar, envelope, span_m=span)
-        made = clear_ground(_followed(made, body, envelope, settings), body, local, gap)
+        sampled = sample_terrain(planar, envelope, span_m=span)
+        made = _followed(sampled, body, envelope, settings)
+        if planar.t_s[-1] > 0.0:  # with times: attitudes have to keep them, and to be lifted anew
+            normal, at_limit = limited_tilt(made, settings.motion.tilt_radps).normal, made.has(WRIST_LIMIT)
+            made = reactionary(sampled.changed(normal=normal), body, envelope, settings.wrist)
+            made = made.with_flag(WRIST_LIMIT, at_limit)
+        made = clear_ground(made, body, local, gap)
         return _ramped(made, body, local, gap, step)
 
-    path = timed(laid(_scheme(settings, swath, step)), settings.motion)
+    path = laid(_scheme(settings, swath, step))
     shaper = settings.shaper
     if shaper is not None:
         rate = max(settings.motion.speed_mps / step, SAMPLES_PER_PERIOD * shaper.highest_hz)
         centre = path.facts["base_m"] if settings.scheme == "arcs" else None
-        planar = shaped_planar(path, shaper, rate, base_m=centre)
-        path = limited_climb(laid(planar).changed(t_s=planar.t_s), settings.motion.vertical_mps)
+        planar = shaped_within(path, shaper, rate, settings.motion, base_m=centre)
+        path = limited_climb(laid(planar), settings.motion.vertical_mps)
         path = clear_ground(path, body, local, gap)
         ends = np.isin(np.arange(len(path)), (0, len(path) - 1))
         path = path.with_flag(STOP, ends)
+    else:
+        path = timed(path, settings.motion)
+    refuse_fast(path, settings.motion)
     if settings.work_space is not None:
         base = settings.work_space.base_m if base is None else base
         path = path.with_flag(OUT_OF_REACH, ~settings.work_space.reachable(path.position_m, path.normal))
@@ -167,6 +176,7 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         "acceleration_mps2": settings.motion.acceleration_mps2,
         "lateral_mps2": settings.motion.lateral_mps2,
         "vertical_mps": settings.motion.vertical_mps,
+        "tilt_radps": settings.motion.tilt_radps,
     }
     if shaper is not None:
         facts["shaper_s"] = shaper.times_s.tolist()

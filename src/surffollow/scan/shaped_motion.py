@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from surffollow.scan.checks import Floats
+from surffollow.scan.kept_limits import KEPT, row_motion
 from surffollow.scan.path import ScanPath
 from surffollow.scan.shaping import Shaper
+from surffollow.scan.timing import MotionLimits, timed
 
+TRIALS = 30  # of a slower command
 SAMPLES_PER_PERIOD = 50  # of the highest mode: steps of speed from sample to sample do not excite it
 
 
@@ -86,3 +90,47 @@ def shaped_planar(
     passes = np.where(moving, path.passes[nearest], -1).astype(np.int32)
     turned = shaped_values(np.unwrap(path.azimuth_rad))
     return ScanPath.planar(xy, passes, azimuth_rad=turned, facts=path.facts).changed(t_s=t)
+
+
+def shaped_within(
+    path: ScanPath,
+    shaper: Shaper,
+    rate_hz: float,
+    limits: MotionLimits,
+    *,
+    base_m: Sequence[float] | None = None,
+) -> ScanPath:
+    """Places of a shaped run that keeps limits of speed and acceleration: its command is slowed, then shaped.
+
+    Parameters
+    ----------
+    path : ScanPath             positions and normals
+    shaper : Shaper
+    rate_hz : float [Hz]        samples per second of the result
+    limits : MotionLimits
+    base_m : (x, y, …) [m]      as for `shaped_planar`
+
+    Returns
+    -------
+    ScanPath     as of `shaped_planar`; of `TRIALS` runs the last where none keeps the limits
+
+    Notes
+    -----
+    Copies of a command add up: in a turn, accelerations along and across one copy are both along another. A
+    slower command has less of both and is shaped as any other, so that the mode stays still. Stretching the
+    times of a shaped run instead would undo the shaper.
+    """
+    slower = limits
+    for _ in range(TRIALS):
+        planar = shaped_planar(timed(path, slower), shaper, rate_hz, base_m=base_m)
+        part = {k: float(v.max(initial=0.0)) / getattr(limits, k) for k, v in row_motion(planar).items()}
+        fast, hard = part["speed_mps"], max(part["acceleration_mps2"], part["lateral_mps2"])
+        if max(fast, hard) <= KEPT:
+            break
+        slower = replace(
+            slower,
+            speed_mps=slower.speed_mps / max(fast, 1.0),
+            acceleration_mps2=slower.acceleration_mps2 / max(hard, 1.0),
+            lateral_mps2=slower.lateral_mps2 / max(hard, 1.0),
+        )
+    return planar

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.scan.checks import positive
+from surffollow.scan.checks import Floats, positive
 from surffollow.scan.path import SLOWED, STOP, ScanPath
 from surffollow.shm.jit import jit
 
@@ -74,6 +74,13 @@ def speed_profile(cap: Any, ds: Any, acceleration: Any, speed: Any) -> None:
         speed[k] = min(speed[k], (speed[k + 1] ** 2 + 2.0 * acceleration * ds[k]) ** 0.5)
 
 
+def turned_rad(normal: Floats) -> Floats:
+    """Angles between unit normals (n, 3) and the next ones: (n - 1,) float64 [rad]."""
+    chord = np.linalg.norm(np.diff(normal, axis=0), axis=1)
+    made: Floats = 2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0))
+    return made
+
+
 def timed(path: ScanPath, limits: MotionLimits) -> ScanPath:
     """Give every sample its time; the tip rests at the first and last sample only.
 
@@ -105,7 +112,7 @@ def timed(path: ScanPath, limits: MotionLimits) -> ScanPath:
     if n > 1:
         # the motion between two samples limits both of them
         rise = np.abs(np.nan_to_num(np.diff(z))) / ds
-        tilt = np.linalg.norm(np.diff(path.normal, axis=0), axis=1) / ds
+        tilt = turned_rad(path.normal) / ds
         between = np.minimum(
             limits.vertical_mps / np.maximum(rise, 1e-12), limits.tilt_radps / np.maximum(tilt, 1e-12)
         )
@@ -114,15 +121,16 @@ def timed(path: ScanPath, limits: MotionLimits) -> ScanPath:
     if n > 2:
         heading = np.arctan2(step[:, 1], step[:, 0])
         bend = np.abs((np.diff(heading) + np.pi) % (2 * np.pi) - np.pi) / (0.5 * (ds[1:] + ds[:-1]))
-        cap[1:-1] = np.minimum(cap[1:-1], np.sqrt(limits.lateral_mps2 / np.maximum(bend, 1e-12)))
+        around = np.sqrt(limits.lateral_mps2 / np.maximum(bend, 1e-12))
+        for at in (slice(0, -2), slice(1, -1), slice(2, None)):  # both steps that meet there are in the turn
+            cap[at] = np.minimum(cap[at], around)
     speed = np.zeros(n)
     if n > 1:
         speed_profile(cap, ds, limits.acceleration_mps2, speed)
     mean = 0.5 * (speed[1:] + speed[:-1])
     # two samples at rest with nothing between them: the ends of a path of two samples
-    duration = np.where(
-        mean > 0.0, ds / np.maximum(mean, 1e-12), 2.0 * np.sqrt(ds / limits.acceleration_mps2)
-    )
+    rest = np.maximum(2.0 * np.sqrt(ds / limits.acceleration_mps2), ds / np.minimum(cap[1:], cap[:-1]))
+    duration = np.where(mean > 0.0, ds / np.maximum(mean, 1e-12), rest)
     t = np.r_[0.0, np.cumsum(duration)]
     ends = np.zeros(n, np.bool_)
     ends[[0, -1]] = True

@@ -1,0 +1,198 @@
+"""Limits of motion from the rows of written paths, shaped or not, and what the checker finds of them."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+import naive_field as naive
+from surffollow.errors import ScanInputError
+from surffollow.scan.attitude_angles import normals_of, wrist_angles
+from surffollow.scan.body import disc
+from surffollow.scan.check import check_path
+from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.kept_limits import limited_tilt, refuse_fast
+from surffollow.scan.limits import Annulus
+from surffollow.scan.path import ScanPath
+from surffollow.scan.path_file import write_path
+from surffollow.scan.plan import PlanSettings, plan_scan
+from surffollow.scan.shaping import Shaper
+from surffollow.scan.timing import MotionLimits, timed
+
+SHAPER = Shaper.zvd(2.0, 0.04)
+
+
+def hump(steep=2.7):
+    """A hump of 12 cm with flanks of 70° on gently bumpy ground."""
+    y, x = np.mgrid[0:1.2:0.01, 0:1.4:0.01]
+    flank = np.clip(0.12 - steep * np.maximum(np.hypot(x - 0.7, y - 0.6) - 0.08, 0.0), 0.0, None)
+    return TerrainGrid.of(flank + 0.01 * np.sin(11.0 * x) * np.cos(9.0 * y), grid_m=0.01)
+
+
+def plan_of(folder, ground=None, **options):
+    ground = hump() if ground is None else ground
+    given = {"region": (0.4, 0.35, 1.0, 0.85), "gap_m": 0.05, "body_m": disc(0.1)} | options
+    path = plan_scan(ground, PlanSettings(**given))
+    write_path(folder / "path.csv", path)
+    return path, ground, folder / "path.csv"
+
+
+def findings_of(ground, file):
+    return {f.name: f for f in check_path(ground.heights_m, ground.origin_m, ground.grid_m, file)}
+
+
+def greatest(file):
+    """Greatest figures of a path file's rows: velocities and angles of three rows at a time."""
+    with open(file) as f:
+        rows = list(csv.DictReader(line for line in f if not line.startswith("#")))
+    t, *place = ([float(r[c]) for r in rows] for c in ("t_s", "x_m", "y_m", "z_m"))
+    q = np.array([[float(r[c]) for c in ("qx", "qy", "qz", "qw")] for r in rows])
+    x, y, z, w = q.T
+    up = np.column_stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
+    made = dict.fromkeys((f.name for f in fields(MotionLimits)), 0.0)
+
+    def most(name, value):
+        made[name] = max(made[name], value)
+
+    v = np.diff(place, axis=1) / np.diff(t)
+    for k in range(len(rows) - 1):
+        speed = math.hypot(v[0, k], v[1, k])
+        most("speed_mps", speed)
+        if not math.isnan(v[2, k]):
+            most("vertical_mps", abs(v[2, k]))
+        angle = math.acos(min(1.0, float(up[k] @ up[k + 1])))
+        if angle > 1e-4:  # the cosine of less is rounding
+            most("tilt_radps", angle / (t[k + 1] - t[k]))
+        if k:
+            dt = 0.5 * (t[k + 1] - t[k - 1])
+            before = math.hypot(v[0, k - 1], v[1, k - 1])
+            most("acceleration_mps2", abs(speed - before) / dt)
+            turn = math.atan2(v[1, k], v[0, k]) - math.atan2(v[1, k - 1], v[0, k - 1])
+            turn = abs(math.remainder(turn, 2 * math.pi))
+            most("lateral_mps2", turn * 0.5 * (speed + before) / dt)
+    return made
+
+
+def over(file, limits):
+    """Figures above their limits by more than the rounding of a file."""
+    found = greatest(file)
+    return {k: v for k, v in found.items() if v > 1.005 * getattr(limits, k)}
+
+
+MOTIONS = {
+    "as default": MotionLimits(),
+    "slow": MotionLimits(0.1, 0.5, 0.5),
+    "little acceleration": MotionLimits(0.3, 0.3, 0.3),
+    "much across": MotionLimits(0.4, 0.25, 2.66),
+    "slow wrist": MotionLimits(0.3, 1.0, 1.0, vertical_mps=0.2, tilt_radps=0.5),
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+@pytest.mark.parametrize("shaper", [None, SHAPER], ids=["plain", "shaped"])
+def test_a_written_plan_keeps_every_limit_of_motion_and_its_gap(motion, shaper, tmp_path):
+    _, ground, file = plan_of(tmp_path, motion=motion, shaper=shaper)
+    assert over(file, motion) == {}
+    found = findings_of(ground, file)
+    for name in ("speed", "climb", "tilt_rate", "acceleration", "lateral", "clearance", "wrist", "coverage"):
+        assert found[name].ok, found[name].text
+
+
+@pytest.mark.parametrize("shaper", [None, SHAPER], ids=["plain", "shaped"])
+def test_arcs_whose_wrist_turns_with_the_arm_keep_every_limit(shaper, tmp_path):
+    motion = MotionLimits(0.4, 0.5, 0.5, tilt_radps=1.0)
+    space = Annulus((0.0, 0.6, 0.5), radius_max_m=3.0)
+    _, ground, file = plan_of(tmp_path, motion=motion, shaper=shaper, scheme="arcs", work_space=space)
+    assert over(file, motion) == {}
+    found = findings_of(ground, file)
+    assert [f.text for f in found.values() if not f.ok and f.name != "between_rows"] == []
+
+
+def test_a_slowed_command_is_still_shaped(tmp_path):
+    motion = MotionLimits(0.3, 0.3, 0.3)
+    left = {}
+    for name, shaper in (("shaped", SHAPER), ("plain", None)):
+        path, _, _ = plan_of(
+            tmp_path, TerrainGrid.of(np.zeros((120, 140)), grid_m=0.01), motion=motion, shaper=shaper
+        )
+        t = np.arange(0.0, path.t_s[-1] + 2.0, 1e-3)
+        held = np.interp(t, path.t_s, path.position_m[:, 0])
+        ring = naive.stepped_mode(held, 1e-3, 2.0, 0.04)
+        left[name] = float(np.ptp(ring[t > path.t_s[-1] + 0.01]))
+    assert left["plain"] > 1e-3
+    assert left["shaped"] < 0.05 * left["plain"]
+
+
+def test_a_large_turn_between_two_samples_counts_by_its_angle():
+    xy = np.column_stack([0.1 * np.arange(7), np.zeros(7)])
+    pitch = np.zeros(7)
+    pitch[3:] = 2.0  # the chord of 2 rad is 1.68
+    path = ScanPath.planar(xy, np.zeros(7, np.int32))
+    path = path.changed(normal=normals_of(np.column_stack([pitch, np.zeros(7)]), np.zeros(7)))
+    limits = MotionLimits(0.5, 2.0, 2.0)
+    assert 2.0 / np.diff(timed(path, limits).t_s)[2] <= limits.tilt_radps * (1 + 1e-9)
+    two = timed(path.changed(**{f.name: getattr(path, f.name)[2:4] for f in fields(path)[:-1]}), limits)
+    assert 2.0 / two.t_s[1] <= limits.tilt_radps * (1 + 1e-9)
+
+
+def test_attitudes_are_turned_as_little_as_the_rate_allows():
+    rng = np.random.default_rng(7)
+    n, rate = 300, 2.0
+    t = np.cumsum(rng.uniform(0.005, 0.02, n))
+    angles = np.column_stack(
+        [np.where(t % 0.7 < 0.35, 0.4, -0.3), np.clip(rng.normal(0, 0.05, n), -0.1, 0.1)]
+    )
+    path = ScanPath.planar(np.zeros((n, 2)), np.zeros(n, np.int32), azimuth_rad=0.2 * t).changed(t_s=t)
+    path = path.changed(normal=normals_of(angles, path.azimuth_rad))
+    made = limited_tilt(path, rate)
+    turned = np.arccos(np.clip((made.normal[1:] * made.normal[:-1]).sum(axis=1), -1.0, 1.0)) / np.diff(t)
+    assert turned.max() <= rate * (1 + 1e-6)
+    slow = wrist_angles(made.normal, path.azimuth_rad)
+    assert (slow.min(axis=0) >= angles.min(axis=0) - 1e-12).all()
+    assert (slow.max(axis=0) <= angles.max(axis=0) + 1e-12).all()
+    # no angle can be nearer everywhere: half of what two samples differ by beyond the rate is needed
+    lean = math.sin(0.4) * 1.1
+    allowed = (rate - 0.2 * lean) / math.sqrt(2.0) * np.abs(t[:, None] - t[None, :])
+    need = 0.5 * (np.abs(angles[:, None, 0] - angles[None, :, 0]) - allowed).max()
+    assert np.abs(slow[:, 0] - angles[:, 0]).max() == pytest.approx(need, rel=0.05)
+    still = limited_tilt(path, 1e4)
+    np.testing.assert_allclose(still.normal, path.normal, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("limit", "finding", "unit"),
+    [
+        ("speed_mps", "speed", "m/s"),
+        ("acceleration_mps2", "acceleration", "m/s² along"),
+        ("lateral_mps2", "lateral", "m/s² across"),
+        ("vertical_mps", "climb", "m/s upwards"),
+        ("tilt_radps", "tilt_rate", "rad/s of the normal"),
+    ],
+)
+def test_the_checker_names_the_limit_that_is_not_kept_with_place_and_figure(limit, finding, unit, tmp_path):
+    path, ground, file = plan_of(tmp_path, motion=MotionLimits(0.3, 1.0, 1.0))
+    most = greatest(file)[limit]
+    for part, ok in ((1.01, True), (0.8, False)):
+        write_path(file, path.changed(facts=path.facts | {limit: part * most}))
+        found = {name for name, f in findings_of(ground, file).items() if not f.ok}
+        assert (finding not in found) == ok
+        assert found <= {finding, "between_rows"}
+    text = findings_of(ground, file)[finding].text
+    assert text.startswith(f"{most:.4g} {unit.split()[0]} of {0.8 * most:g} {unit}")
+    x, y = (float(v) for v in text.split("near (")[1].split(")")[0].split(", "))
+    assert np.hypot(path.position_m[:, 0] - x, path.position_m[:, 1] - y).min() < 1e-3
+    k = int(np.argmin(np.abs(path.t_s - float(text.split("at ")[1].split(" s")[0]))))
+    assert path.position_m[k, :2] == pytest.approx([x, y], abs=1e-3)
+
+
+def test_a_plan_that_cannot_keep_a_limit_is_refused_by_name():
+    xy = np.column_stack([0.01 * np.arange(50), np.zeros(50)])
+    path = timed(ScanPath.planar(xy, np.zeros(50, np.int32)), MotionLimits(0.5))
+    refuse_fast(path, MotionLimits(0.5))
+    for name, text in (("speed_mps", "m/s speed"), ("acceleration_mps2", "along the path")):
+        with pytest.raises(ScanInputError, match=f"{text}.*near .*lower speed"):
+            refuse_fast(path, replace(MotionLimits(), **{name: 0.1}))
