@@ -223,6 +223,7 @@ def test_the_checker_imports_nothing_of_the_planner():
         "surffollow.scan.check_file",
         "surffollow.scan.check_finding",
         "surffollow.scan.check_placement",
+        "surffollow.scan.check_underside",
     }
 
 
