@@ -224,6 +224,7 @@ def test_the_checker_imports_nothing_of_the_planner():
         "surffollow.scan.check_finding",
         "surffollow.scan.check_motion",
         "surffollow.scan.check_placement",
+        "surffollow.scan.check_underside",
     }
 
 

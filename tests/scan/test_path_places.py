@@ -14,6 +14,7 @@ from surffollow.errors import ScanInputError
 from surffollow.scan import TerrainGrid, disc, signal_map, terrain_map
 from surffollow.scan.check import check_path
 from surffollow.scan.check_clearance import check_clearance
+from surffollow.scan.check_file import Facts, Poses
 from surffollow.scan.limits import Annulus
 from surffollow.scan.path_file import read_path, write_path
 from surffollow.scan.plan import PlanSettings, plan_scan
@@ -139,9 +140,11 @@ def test_a_region_beside_a_map_far_from_the_origin_is_refused_with_all_digits():
 
 def test_a_point_beside_the_map_is_below_no_ground_but_one_over_it_is(tmp_path):
     ground = TerrainGrid.of(np.full((20, 20), 1.0), grid_m=0.1)
-    beside, below = np.array([[[-0.05, 1.05, 0.9]]]), np.array([[[0.05, 1.05, 0.9]]])
-    for points, least_m in ((beside, math.hypot(0.1, 0.1)), (below, -0.1)):
-        found = check_clearance(ground.heights_m, (0.0, 0.0), 0.1, points, 0.05, np.array([least_m]))
+    none, on = np.zeros(1, np.int64), np.array([[0.0, 0.0, 0.0, 1.0]])
+    facts = Facts(np.zeros((1, 3)), np.zeros((3, 2)), [0.0] * 4, 0.05, 0.1, 1.0, 1.0, 1.0)
+    for x, least_m in ((-0.05, math.hypot(0.1, 0.1)), (0.05, -0.1)):
+        rows = Poses(np.array([[x, 1.05, 0.9]]), on, np.zeros(1), none, none)
+        found = check_clearance(ground.heights_m, (0.0, 0.0), 0.1, rows, facts, np.array([least_m]))
         assert found[0].value == pytest.approx(least_m)
 
 

@@ -157,8 +157,8 @@ def test_no_control_point_is_inside_the_gap_after_the_last_lift():
         )
         d = cKDTree(cells).query(control_points(got, BODY).reshape(-1, 3))[0].reshape(len(got), -1)
         assert d.min() >= 0.05
-        near = np.isfinite(got.clearance_m)
-        np.testing.assert_allclose(got.clearance_m[near], d.min(axis=1)[near], atol=1e-12)
+        near = np.isfinite(got.clearance_m)  # of the whole underside
+        assert (got.clearance_m[near] <= d.min(axis=1)[near] + 1e-12).all()
 
 
 def test_speeds_keep_their_limits_and_the_tip_rests_at_both_ends_only():

@@ -18,7 +18,7 @@ from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.known_ground import KnownGround
 from surffollow.scan.path import ScanPath
 
-INSIDE_M = 0.01  # a control point by so much inside the gap counts as inside
+INSIDE_M = 0.01  # an underside by so much inside the gap counts as inside
 READY_PART = 0.5  # of that is tolerated where the tool is lifted, against the readings' noise
 CELLS_PER_GAP = 12  # without a map
 POSES_AHEAD = 8
@@ -67,6 +67,7 @@ class ClearanceMonitor:
             local = ground.window([*box[0], *(box[1] + 1e-9)], margin)
         self._underside_m = radius + self.gap_m
         self.ground = KnownGround(local, self._underside_m)
+        self._beneath = self.ground.beneath(self.body_m)
         self._readings: deque[tuple[int, float]] = deque(maxlen=READINGS_KEPT)
         self._poses: deque[tuple[int, Floats]] = deque(maxlen=POSES_KEPT)
         self._last_ns = 0
@@ -98,12 +99,6 @@ class ClearanceMonitor:
         axis = body_rotations(pose[None, 3:])[0][:, 2]
         self.ground.take(pose[:3] - distance_m * axis)
 
-    def points(self, poses: Floats) -> Floats:
-        """(n, m, 3) control points [m] of poses (n, 7)."""
-        turned = np.einsum("nij,mj->nmi", body_rotations(poses[:, 3:]), self.body_m)
-        made: Floats = np.ascontiguousarray(poses[:, None, :3] + turned)
-        return made
-
     def lift_m(self, poses: Floats, least_m: float = 0.0) -> float:
         """Least lift of poses (n, 7) with which the underside is clear, but for a part of the tolerance [m].
 
@@ -112,15 +107,17 @@ class ClearanceMonitor:
         poses : (n, 7) [m]
         least_m : at least this; below 0, the answer says how far the poses may be lowered [m]
         """
-        points = self.points(poses)
-        points[..., 2] += least_m
+        low = poses[:, :3] + np.array([0.0, 0.0, least_m])
         gap = self.gap_m - READY_PART * self.inside_m
-        return least_m + float(self.ground.lifts(points, gap).max())
+        return least_m + float(self._beneath.lifts(low, poses[:, 3:], gap).max())
 
     def is_inside(self, poses: Floats) -> NDArray[np.bool_]:
-        """(n,) whether a control point is more than the tolerance inside the gap."""
-        return self.ground.lifts(self.points(poses), self.gap_m - self.inside_m) > 0.0
+        """(n,) whether a part of the underside is more than the tolerance inside the gap."""
+        return self._beneath.lifts(poses[:, :3], poses[:, 3:], self.gap_m - self.inside_m) > 0.0
 
     def clearance_m(self, pose: Floats) -> float:
-        """Least distance of the control points of a pose (7,) from known ground, at most the gap [m]."""
-        return self.ground.distance(self.points(pose[None])[0], self.gap_m)
+        """Least distance of the underside at a pose (7,) from known ground, at most the gap [m].
+
+        Below 0: known ground is above it.
+        """
+        return float(self._beneath.distances(pose[None, :3], pose[None, 3:], self.gap_m)[0])

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from surffollow.apps.clearance_monitor import INSIDE_M
 from surffollow.apps.scan_run import Executed
 from surffollow.scan.checks import Floats
-from surffollow.scan.clearance import control_points
+from surffollow.scan.clearance import Clearance, tops_of
 from surffollow.scan.path import ScanPath
 from surffollow.sim.field_sensors import laser_range
 from surffollow.sim.surfaces import HeightField
@@ -20,7 +19,7 @@ CHECKED = 4000  # samples whose clearance is looked at
 
 
 def least_distance(ground: HeightField, path: ScanPath, body_m: Floats, at: Any) -> Floats:
-    """Least distance [m] of the control points from the ground's nodes at samples; negative below it.
+    """Least distance [m] of the whole underside from the ground's nodes at samples; negative below them.
 
     Parameters
     ----------
@@ -29,20 +28,9 @@ def least_distance(ground: HeightField, path: ScanPath, body_m: Floats, at: Any)
     body_m : (m, 3) float64 [m]  control points of the body
     at : index of samples
     """
-    rows, cols = np.indices(ground.heights_m.shape)
-    nodes = np.column_stack(
-        [
-            ground.x0_m + cols.ravel() * ground.grid_m,
-            ground.y0_m + rows.ravel() * ground.grid_m,
-            ground.heights_m.ravel(),
-        ]
-    )
-    points = control_points(path, body_m)[at]
-    n, m = points.shape[:2]
-    distance, nearest = cKDTree(nodes).query(points.reshape(-1, 3))
-    below = points.reshape(-1, 3)[:, 2] < nodes[nearest, 2]
-    made: Floats = np.where(below, -distance, distance).reshape(n, m).min(axis=1)
-    return made
+    first = (ground.x0_m, ground.y0_m)
+    compared = Clearance(ground.heights_m, tops_of(ground.heights_m), first, ground.grid_m, body_m)
+    return compared.distances(path.position_m[at], path.quaternion[at], np.inf)
 
 
 def desired_range_m(done: Executed, path_s: Floats) -> Floats:
@@ -76,8 +64,8 @@ def true_figures(done: Executed, ground: HeightField) -> dict[str, Any]:
     Returns
     -------
     dict     rms_m, p99_m, mean_m of range along the axis minus the desired one; clearance_min_m of the
-        control points; violations (part of the samples with one more than 10 mm inside the gap), contacts
-        (part with one below the ground); tip_acceleration_rms_mps2 (horizontal, of the real tip); samples
+        underside; violations (part of the samples with it more than 10 mm inside the gap), contacts
+        (part with it below the ground); tip_acceleration_rms_mps2 (horizontal, of the real tip); samples
     """
     trace, path = done.trace, done.path
     on = np.flatnonzero((trace["scanning"] > 0.0) & (trace["t_s"] > _begin_s(trace) + SETTLE_S))

@@ -63,7 +63,7 @@ class GapWatch:
         if robot.lift_m > robot.limit_m or stuck:
             because = "lifting did not clear it" if stuck else "it needs more lift than the correction may be"
             self.why = (
-                f"a control point {place}, the gap is {1e3 * monitor.gap_m:.1f} mm: {because} "
+                f"the underside is {place}, the gap is {1e3 * monitor.gap_m:.1f} mm: {because} "
                 f"({1e3 * robot.limit_m:.0f} mm)"
             )
         return [f"inside the gap: {place}"] if first else []

@@ -76,13 +76,14 @@ def inside_text(done: Executed) -> str:
     """One sentence on the gap as the readings show it."""
     s = done.summary
     if s["inside_times"] is None:
-        return "no readings: whether a control point came inside the gap is not known"
+        return "no readings: whether the tool came inside the gap is not known"
     later = s["inside_later_part"] or 0.0
     if s["inside_times"] == 0 and later == 0.0:
-        return f"by the readings no control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap"
+        text = "by the map and the readings no part of the underside came more than"
+        return f"{text} {1e3 * INSIDE_M:.0f} mm inside the gap"
     least = "" if s["inside_least_m"] is None else f", at least {1e3 * s['inside_least_m']:.1f} mm away"
     return (
-        f"a control point came more than {1e3 * INSIDE_M:.0f} mm inside the gap: noticed "
+        f"the underside came more than {1e3 * INSIDE_M:.0f} mm inside the gap: noticed "
         f"{_times(s['inside_times'])}, {s['inside_s']:.3g} s{least}; {100 * later:.1f} % of the "
         "samples by all that was measured"
     )

@@ -25,6 +25,18 @@ from surffollow.cli.scan_options import (
     known_region,
 )
 
+_SLOWER = "choose a lower --speed or a higher --acceleration"
+REMEDIES = {
+    "clearance": "choose a larger --gap",
+    "between_rows": "choose a larger --gap",
+    "wrist": "choose a larger --wrist",
+    "reach": "choose a smaller --region or a larger --reach",
+    "speed": _SLOWER,
+    "climb": _SLOWER,
+    "acceleration": _SLOWER,
+    "coverage": "choose a smaller --swath, or a --region on known ground",
+}
+
 
 @click.command("plan")
 @click.argument("map_file", metavar="[MAP]", required=False, type=EXISTING)
@@ -94,8 +106,12 @@ def plan_command(
     picture: str | None,
     as_json: bool,
 ) -> None:
-    """Plan a scan over MAP and write its path file; parts that cannot be planned are flagged."""
+    """Plan a scan over MAP, write its path file and check it; parts that cannot be planned are flagged.
+
+    Exit code 1: `scan check` refuses the path. Standard error says why; the file is there to be looked at.
+    """
     from surffollow.scan.body import parse_body
+    from surffollow.scan.check import check_path
     from surffollow.scan.holes import fill_holes
     from surffollow.scan.limits import Annulus, WristLimits
     from surffollow.scan.path_file import write_path
@@ -142,6 +158,12 @@ def plan_command(
     if warning:
         click.echo(f"warning: {warning}", err=True)
     print_facts({"path": output} | plan_figures(plan), as_json)
+    refused = [f for f in check_path(ground.heights_m, ground.origin_m, ground.grid_m, output) if not f.ok]
+    for f in refused:
+        remedy = REMEDIES.get(f.name, "report this plan as a fault of the planner")
+        click.echo(f"error: scan check refuses {output}: {f.name}: {f.text}; {remedy}", err=True)
+    if refused:
+        sys.exit(1)
 
 
 @click.command("check")

@@ -1,7 +1,7 @@
 """Check a path file against a map: clearance, flags, wrist limits, motion, coverage.
 
-This module shares no code with the planner: it reads the file, places the control points and measures
-distances in its own way (a k-d tree over the known cell centres).
+This module shares no code with the planner: it reads the file, places the body and measures distances in
+its own way (every known cell about a pose, seen from the body).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 
 from surffollow.scan.check_clearance import (
     UNKNOWN_BENEATH,
-    check_between_rows,
     check_clearance,
     check_unknown_ground,
     is_beside,
@@ -25,7 +24,7 @@ from surffollow.scan.check_coverage import check_coverage, check_swath
 from surffollow.scan.check_file import Array, Facts, Poses, between, read_rows
 from surffollow.scan.check_finding import Finding
 from surffollow.scan.check_motion import check_motion
-from surffollow.scan.check_placement import control_points, rotations
+from surffollow.scan.check_placement import rotations
 
 ANGLE_SPARE_RAD = 1e-6
 CHORD_RAD = 0.01  # angles, mixed linearly between rows, leave their limits by less
@@ -85,8 +84,7 @@ def check_path(
     return [
         *_rows(at, axes, normal, rows.planned, rows.flags),
         _without_height(*place, rows, facts),
-        *check_clearance(*place, control_points(rows, facts), facts.gap, at["clearance_m"][rows.planned]),
-        check_between_rows(*place, inner, facts),
+        *check_clearance(*place, rows, facts, at["clearance_m"]),
         check_unknown_ground(*place, every, len(rows.flags), facts),
         _wrist(axes, rows.azimuth, facts.wrist, rotations(inner.quaternion), inner.azimuth),
         _reach(rows.flags, rows.passes),

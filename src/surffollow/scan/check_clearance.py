@@ -11,97 +11,73 @@ from scipy.spatial import cKDTree
 from surffollow.scan.check_file import Array, Facts, Poses
 from surffollow.scan.check_finding import Finding
 from surffollow.scan.check_placement import control_points
+from surffollow.scan.check_underside import underside_distances
 
 GAP_SPARE_M = 1e-6  # digits of the file
 UNKNOWN_BENEATH = 16  # flag of a row
-CHORD_CELLS = 4.0  # length of a chord between rows whose sagitta is let pass: steps up flanks are that long
-_CHUNK = 200_000
+LOOK_GAPS = 3.0  # the column `clearance_m` has distances up to so many gaps
+PARTS_OF_GAP = 8.0
 
 
-def _distances(z: Array, origin: tuple[float, float], g: float, flat: Array, gap: float) -> Array | None:
-    """Distance of points (n, 3) from the ground, negative below it; None: they lie beside the map."""
+def _nothing_near(z: Array, origin: tuple[float, float], g: float, xy: Array, far: float) -> bool:
+    """Whether no known cell is within `far` [m] of the box about places (n, 2) [m]."""
+    low, high = xy.min(axis=0) - far, xy.max(axis=0) + far
     row, col = np.nonzero(np.isfinite(z))
-    # cells farther from the path than any clearance of interest only make the tree larger
-    low, high = flat.min(axis=0) - 4 * gap, flat.max(axis=0) + 4 * gap
     x, y = origin[0] + (col + 0.5) * g, origin[1] + (row + 0.5) * g
-    near = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-    if not near.any():
-        return None
-    tree = cKDTree(np.column_stack([x, y, z[row, col]])[near])
-    distance = np.empty(len(flat))
-    for k in range(0, len(flat), _CHUNK):
-        distance[k : k + _CHUNK] = tree.query(flat[k : k + _CHUNK])[0]
-    # a point below the surface is nearer than the distance; beside the map there is no surface to be below
-    j = np.clip(((flat[:, 0] - origin[0]) / g).astype(np.int64), 0, z.shape[1] - 1)
-    i = np.clip(((flat[:, 1] - origin[1]) / g).astype(np.int64), 0, z.shape[0] - 1)
-    with np.errstate(invalid="ignore"):
-        below = (flat[:, 2] < z[i, j]) & ~is_beside(z, origin, g, flat[:, :2])
-    return np.where(below, -distance, distance)
+    return not ((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])).any()
 
 
 def check_clearance(
-    z: Array, origin: tuple[float, float], g: float, points: Array, gap: float, stated_m: Array
+    z: Array, origin: tuple[float, float], g: float, rows: Poses, facts: Facts, stated_m: Array
 ) -> list[Finding]:
-    """No control point is inside the gap, and the column of clearances is right.
-
-    Parameters
-    ----------
-    z : (rows, cols) float64 [m]    heights of the map; NaN unknown
-    origin : (x, y) [m]             outer corner of z[0, 0]
-    g : float [m]                   side of a cell
-    points : (n, m, 3) float64 [m]  control points of the samples with a height
-    gap : float [m]                 least distance from known ground
-    stated_m : (n,) float64         column `clearance_m` of these samples
-    """
-    if not np.isfinite(z).any() or len(points) == 0:
-        return [Finding("clearance", False, "no known ground, or no sample with a height, to compare")]
-    if not np.isfinite(points).all():
-        return [Finding("clearance", False, "samples with a height have a quaternion that is none")]
-    n, m = points.shape[:2]
-    distance = _distances(z, origin, g, points.reshape(-1, 3), gap)
-    if distance is None:
-        return [Finding("clearance", False, "the path lies beside the map")]
-    least = distance.reshape(n, m).min(axis=1)
-    inside = int(np.count_nonzero(distance < gap - GAP_SPARE_M))
-    # the column has no number where no ground lies within three gaps
-    silent = ~np.isfinite(stated_m)
-    missing = int(np.count_nonzero(silent & (least < 3.0 * gap - g)))
-    worst = float(np.abs(stated_m - least)[~silent].max()) if not silent.all() else 0.0
-    text = f"{inside} of {n * m} control points are inside the gap of {gap:g} m; the least distance is "
-    column = f"the column clearance_m is off by at most {worst:.2g} m, and missing in {missing} samples"
-    return [
-        Finding("clearance", inside == 0, f"{text}{least.min():.6g} m", float(least.min())),
-        Finding("clearance_column", worst < 1e-5 and missing == 0, column, worst),
-    ]
-
-
-def check_between_rows(
-    z: Array, origin: tuple[float, float], g: float, inner: Poses, facts: Facts
-) -> Finding:
-    """Between rows of a dense path a chord cuts into the gap by the sagitta of a few cells, not by more.
+    """No part of the underside is inside the gap, in rows or between; the column of clearances is right.
 
     Parameters
     ----------
     z : (rows, cols) float64 [m]  heights of the map; NaN unknown
     origin : (x, y) [m]           outer corner of z[0, 0]
     g : float [m]                 side of a cell
-    inner : Poses                 poses between rows
+    rows : Poses                  rows of the file
     facts : Facts                 header of the file
+    stated_m : (n,) float64       column `clearance_m`
+
+    Notes
+    -----
+    Between rows the body is looked at wherever a point of it moved by a cell or an eighth of the gap, the
+    smaller of both. Half that chord's sagitta, at most a five-hundredth of the gap, is let pass there.
     """
-    points = control_points(inner, facts)
-    distance = None
-    if np.isfinite(z).any() and len(points):
-        if not np.isfinite(points).all():
-            return Finding("between_rows", False, "the attitude between two rows is not defined")
-        distance = _distances(z, origin, g, points.reshape(-1, 3), facts.gap)
-    if distance is None:
-        return Finding("between_rows", True, "no pose between rows is more than a cell from them")
-    half = min(0.5 * CHORD_CELLS * g, facts.gap)
-    spare = facts.gap - math.sqrt(facts.gap**2 - half**2)
-    inside = int(np.count_nonzero(distance < facts.gap - spare))
-    text = f"{inside} control points of {len(points)} poses between rows are more than {1e3 * spare:.2g} mm "
-    text += f"inside the gap; the least distance is {distance.min():.6g} m"
-    return Finding("between_rows", inside == 0, text, float(distance.min()))
+    gap, on = facts.gap, rows.planned
+    if not np.isfinite(z).any() or not on.any():
+        return [Finding("clearance", False, "no known ground, or no sample with a height, to compare")]
+    if not (np.abs(rows.quaternion[on]).max(axis=1) > 0.0).all():
+        return [Finding("clearance", False, "samples with a height have a quaternion that is none")]
+    reach = float(np.linalg.norm(facts.body, axis=1).max())
+    if _nothing_near(z, origin, g, rows.position[on][:, :2], reach + LOOK_GAPS * gap):
+        return [Finding("clearance", False, "the path lies beside the map")]
+    step = min(g, gap / PARTS_OF_GAP)
+    place = (z, origin, g, facts.body, rows.position, rows.quaternion)
+    most = LOOK_GAPS * gap + g
+    every, way = underside_distances(*place, most, step)
+    least, stated = every[on], stated_m[on]
+    inside = int(np.count_nonzero(least < gap - GAP_SPARE_M))
+    # the column has no number where no ground lies within three gaps
+    silent = ~np.isfinite(stated)
+    missing = int(np.count_nonzero(silent & (least < LOOK_GAPS * gap - g)))
+    worst = float(np.abs(stated - least)[~silent].max()) if not silent.all() else 0.0
+    text = f"the underside is inside the gap of {gap:g} m in {inside} of {len(least)} samples; the least "
+    column = f"the column clearance_m is off by at most {worst:.2g} m, and missing in {missing} samples"
+    spare = gap - math.sqrt(gap**2 - 0.25 * step**2) + GAP_SPARE_M
+    cut = int(np.count_nonzero(way < gap - spare))
+    between = f"in {cut} of {len(way)} ways from row to row the underside is more than {1e3 * spare:.2g} mm "
+    between += "inside the gap"
+    nearest = float(way.min()) if len(way) else most
+    if nearest < most:
+        between += f"; the least distance is {nearest:.6g} m"
+    return [
+        Finding("clearance", inside == 0, f"{text}distance is {least.min():.6g} m", float(least.min())),
+        Finding("clearance_column", worst < 1e-5 and missing == 0, column, worst),
+        Finding("between_rows", cut == 0, between, nearest),
+    ]
 
 
 def unknown_centres(z: Array, origin: tuple[float, float], g: float) -> Array:

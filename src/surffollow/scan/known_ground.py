@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from surffollow.scan.checks import Floats, positive
-from surffollow.scan.clearance import TILE, least_distance, lifts_needed, tile_tops
+from surffollow.scan.clearance import Clearance, tops_of
+from surffollow.scan.clearance_kernels import TILE
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.surface_lookup import height_at
 from surffollow.shm.jit import jit
@@ -85,8 +86,7 @@ class KnownGround:
         self.reach_m = positive("reach_m", reach_m)
         rows, cols = mapped.shape
         self._nearest = np.full((rows, cols), np.inf)
-        self._tops = np.empty((-(-rows // TILE), -(-cols // TILE)))
-        tile_tops(self.heights_m, self._tops)
+        self._tops = tops_of(self.heights_m)
         self.measured = 0
 
     def take(self, point_m: Floats) -> None:
@@ -98,18 +98,7 @@ class KnownGround:
         correct(self._mapped, self.heights_m, self._tops, self._nearest, u, v, z, g, reach)
         self.measured += 1
 
-    def _cells(self, points_m: Floats) -> Floats:
-        at: Floats = np.array(points_m, np.float64, order="C")
-        at[..., :2] = (at[..., :2] - self.origin_m) / self.grid_m - 0.5
-        return at
-
-    def lifts(self, points_m: Floats, gap_m: float) -> Floats:
-        """(n,) lift [m], at least 0, that keeps the points (n, m, 3) of n poses the gap from the ground."""
-        out = np.zeros(len(points_m))
-        lifts_needed(self.heights_m, self._tops, self.grid_m, gap_m, self._cells(points_m), out)
-        return out
-
-    def distance(self, points_m: Floats, most_m: float) -> float:
-        """Least distance of points (m, 3) from known cell centres [m], `most_m` if none is as near."""
-        at = self._cells(points_m)
-        return float(least_distance(self.heights_m, self._tops, self.grid_m, at, most_m))
+    def beneath(self, body_m: Floats) -> Clearance:
+        """The ground as it is at any time, to be compared with a body of control points (m, 3) [m]."""
+        first = self.origin_m + 0.5 * self.grid_m
+        return Clearance(self.heights_m, self._tops, first, self.grid_m, body_m)

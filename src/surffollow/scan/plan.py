@@ -58,7 +58,7 @@ class PlanSettings:
     wrist : WristLimits
     motion : MotionLimits
     step_m : float [m]
-        between samples; None: the larger of one cell and 5 mm
+        between samples; None: one cell, but no more than half the gap and no less than a sixteenth of it
     span_m : float [m]
         slopes are taken over ± this; None: half the body's radius
     work_space : WorkSpace
@@ -134,7 +134,7 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         )
     local = _around(ground, corners, gap + radius + 1.5 * swath + _run_up_m(settings))
     envelope = envelope_of(local, gap)
-    step = settings.step_m if settings.step_m is not None else max(ground.grid_m, 0.005)
+    step = settings.step_m if settings.step_m is not None else _step_m(ground.grid_m, gap)
     base = settings.base_m
     span = settings.span_m if settings.span_m is not None else max(ground.grid_m, 0.5 * radius)
 
@@ -190,9 +190,12 @@ def _ramped(path: ScanPath, body: Floats, ground: TerrainGrid, gap: float, step_
     """A path that climbs a vertical step over several rows: between two rows a robot goes straight."""
     rows = np.arange(len(path), dtype=np.float64)
     made = limited_climb(path.changed(t_s=rows), STEEPEST * step_m)
-    if np.array_equal(made.position_m[:, 2], path.position_m[:, 2], equal_nan=True):
-        return path
-    return clear_ground(made.changed(t_s=path.t_s), body, ground, gap)
+    return clear_ground(made.changed(t_s=path.t_s), body, ground, gap, between=True)
+
+
+def _step_m(grid_m: float, gap_m: float) -> float:
+    """Way from row to row: its chord cuts into a ball's envelope by a thirty-second of the gap at most."""
+    return min(max(grid_m, gap_m / 16.0), gap_m / 2.0)
 
 
 def _around(ground: TerrainGrid, corners: Floats, margin_m: float) -> TerrainGrid:
