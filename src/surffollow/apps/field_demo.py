@@ -140,7 +140,7 @@ def failures(figures: dict[str, Any]) -> list[str]:
     shaped = figures["shaped"]
     if figures["ground"] == "hump":
         if shaped["inside_gap_points"]:
-            found.append(f"{shaped['inside_gap_points']} samples have a control point inside the gap")
+            found.append(f"{shaped['inside_gap_points']} samples have the underside inside the gap")
     elif shaped["gap_error_p99_m"] > P99_LIMIT_M:
         found.append(f"P99 of the gap error is {1e3 * shaped['gap_error_p99_m']:.1f} mm, limit 5 mm")
     if figures["target"]["error_m"] > TARGET_LIMIT_M:

@@ -76,7 +76,7 @@ class Run:
     tip_m, normal : (n, 3)        real
     joints_rad : (n, 5)
     laser_m : (n,)                true range at the detector's middle
-    clearance_m : (n,)            true least distance of the control points from the ground; NaN not scored
+    clearance_m : (n,)            true least distance of the underside from the ground; NaN not scored
     acceleration_mps2 : (n, 3)    of the accelerometer
     scored : (n,) bool            on a pass, within the region
     gap_m : float
