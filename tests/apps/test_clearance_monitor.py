@@ -26,6 +26,7 @@ from surffollow.sim.surfaces import HeightField
 TICK_NS = 10_000_000
 GRID_M, GAP_M, RADIUS_M = 0.005, 0.06, 0.05
 OBJECT_AT = (0.6, 0.35)
+BENT_M = 0.025  # by so much a reading is too near while the arm retracts
 DELAY = 3  # ticks from a reading to the demand that heeds it
 
 
@@ -80,6 +81,7 @@ class Follower:
         if robot.state["primed"][0]:
             tip = np.array(robot.state["real"][0])
             distance = float(laser_range(self.field, tip[None], normal[None])[0])
+            distance -= BENT_M if robot.leaving else 0.0
             asked = float(robot.tip_m[2]) + (GAP_M - distance) * normal[2]
             self.seen.append((robot.t_ns, distance, asked))
         if len(self.seen) <= DELAY or not reports:
@@ -98,7 +100,7 @@ class World:
     latch = 0
 
 
-def scanned(plan, true, *, guarded=True, said=None, **settings):
+def scanned(plan, true, *, guarded=True, said=None, aborted=lambda _robot: False, **settings):
     """Run a plan over a true ground in simulated time: the run, and clearance and pass of its samples."""
     ground, path = plan
     config = ScanRobotConfig(shaper=Shaper.zvd(4.5, 0.04), **settings)
@@ -106,7 +108,7 @@ def scanned(plan, true, *, guarded=True, said=None, **settings):
     monitor = ClearanceMonitor(path, ground) if guarded else None
     follower.robot = robot = ScanRobot(path, config, 0, monitor=monitor)
     run = _Run(robot, follower, Control(), World(), said)
-    run.go(lambda: False, list, now_ns=lambda: 0)
+    run.go(lambda: aborted(robot), list, now_ns=lambda: 0)
     done = run.executed()
     trace = done.trace
     on = np.flatnonzero((trace["scanning"] > 0) | (trace["rate"] < 1.0) & (trace["path_s"] > 0.0))
@@ -157,6 +159,16 @@ def test_ground_as_it_is_mapped_is_neither_lifted_over_nor_reported(plan):
     assert done.summary["inside_later_part"] == 0.0
     assert done.summary["inside_least_m"] is None
     assert np.median(least) == pytest.approx(np.median(blind_least), abs=1e-3)
+
+
+@pytest.mark.parametrize("part", [0.15, 0.5, 0.8])
+def test_what_the_sensor_reads_while_the_arm_retracts_is_no_ground(plan, part):
+    _, true = grounds()
+    done, _, _ = scanned(plan, true, aborted=lambda robot: robot.progress > part)
+    assert done.summary["aborted"]
+    assert done.summary["retracted"]
+    assert done.summary["inside_times"] == 0
+    assert done.summary["inside_later_part"] == 0.0
 
 
 @pytest.mark.parametrize("kind", ["higher", "lower", "tilted", "phantom"])

@@ -280,6 +280,21 @@ def test_an_address_that_is_held_by_another_user_is_no_scan_that_could_be_aborte
     assert "abort" not in str(refused.value)
 
 
+@pytest.mark.parametrize(("number", "says"), [(-1, "on a turn, 4 passes, tip"), (1, "pass 2 of 4, tip")])
+def test_the_status_names_the_pass_or_a_turn(monkeypatch, number, says):
+    answer = {
+        "state": "scan",
+        "progress": 0.5,
+        "pass": number,
+        "passes": 4,
+        "tip_m": [0, 0, 0],
+        "trouble": "",
+    }
+    monkeypatch.setattr(scan_control, "ask", lambda _name, _word: answer)
+    done = CliRunner().invoke(cli, ["scan", "status", "turning"])
+    assert done.stdout.startswith(f"scan, 50 %, {says}")
+
+
 def test_an_abort_retracts_after_the_service_has_died(folder):
     text = config_text(kind="simulated", grids=100_000, follow=f"offset = {GAP_M}")
     text = text.replace('surface = "flat"\nregion = [0.0, 0.0, 0.1, 0.1]', f'file = "{folder}/ground.npz"')

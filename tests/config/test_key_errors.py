@@ -36,9 +36,18 @@ def test_a_wrong_key_of_an_arbiter_is_named_with_its_table() -> None:
         parse_arbiter({"leas": "1 s"})
 
 
-def test_a_wrong_key_of_one_of_several_tables_names_their_parent() -> None:
-    with pytest.raises(ConfigError, match=r"'comand' of \[resources\.NAME\] is unknown.*'command'"):
-        parse_arbiter({"clients": {"a": 1}, "resources": {"robot": {"comand": ["a"]}}})
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"comand": ["a"]}, r"'comand' of \[resources\.robot\] is unknown.*'command'"),
+        ({"command": ["a"]}, r"key 'safe' of \[resources\.robot\] is missing"),
+        ({"command": ["a"], "safe": [0.0], "policy": 5}, r"key resources\.robot\.policy: expected str"),
+    ],
+)
+def test_a_wrong_key_of_one_of_several_tables_names_the_table(wrong: dict[str, Any], text: str) -> None:
+    good = {"command": ["a"], "safe": [0.0]}
+    with pytest.raises(ConfigError, match=text):
+        parse_arbiter({"clients": {"a": 1}, "resources": {"first": good, "robot": wrong, "last": good}})
 
 
 def test_a_missing_key_of_a_driver_is_named() -> None:

@@ -144,6 +144,21 @@ def test_an_array_file_named_as_an_archive_is_refused(tmp_path):
         HeightMap.load(tmp_path / "array.npz")
 
 
+def test_unknown_cells_of_a_raster_may_be_written_with_other_digits_than_its_nodata(tmp_path):
+    path = tmp_path / "dem.asc"
+    head = "ncols 2\nnrows 1\nxllcorner 0\nyllcorner 0\ncellsize 0.1\n"
+    for declared, written in (
+        ("-3.40282346639e+38", "-3.4028234663852886e+38"),
+        ("-3.40282e+38", "-3.402823466e+38"),
+        ("-9999", "-9999.000"),
+    ):
+        path.write_text(f"{head}NODATA_value {declared}\n{written} 2\n")
+        np.testing.assert_allclose(HeightMap.load(path).heights_m, [[np.nan, 2.0]], atol=1e-5)
+    path.write_text(f"{head}NODATA_value -9999\n-3.4028234663852886e+38 2\n")
+    with pytest.raises(MapFileError, match=r"dem\.asc.*finite.*NODATA"):
+        HeightMap.load(path)
+
+
 @pytest.mark.parametrize(
     "head", ["ncols inf", "ncols nan", "ncols 1e30", "cellsize inf", "cellsize 1e-320", "xllcorner 1e308"]
 )

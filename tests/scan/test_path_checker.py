@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from scan.sample_ground import GRID, ground_of
-from surffollow.errors import ScanFileError
+from surffollow.apps.scan_robot_config import check_executable
+from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.scan import TerrainGrid, disc
 from surffollow.scan.check import check_path
 from surffollow.scan.path import OUT_OF_REACH, UNKNOWN_BENEATH
@@ -82,6 +83,23 @@ def test_the_checker_finds_a_fault_in_one_row(tmp_path, column, change, finding)
     _, file = plan_of(tmp_path, ground)
     damage(file, column, change)
     assert finding in failed(ground, file)
+
+
+def test_the_checker_refuses_samples_without_height_as_a_run_does(tmp_path):
+    ground = ground_of(5, 120)
+    heights = ground.heights_m.copy()
+    heights[:, 60:] = np.nan
+    half = TerrainGrid.of(heights, grid_m=ground.grid_m)
+    plan, file = plan_of(tmp_path, half)
+    bare = int(np.isnan(plan.position_m[:, 2]).sum())
+    assert bare > 0
+    assert (plan.flags[np.isnan(plan.position_m[:, 2])] & 16 > 0).all()  # and the flag says why
+    found = {f.name: f for f in check_path(half.heights_m, half.origin_m, half.grid_m, file)}
+    assert not found["unplanned"].ok
+    assert found["unplanned"].text.startswith(f"{bare} samples have no height, 0 of them without a flag")
+    assert "--fill" in found["unplanned"].text
+    with pytest.raises(ScanInputError, match=f"{bare} of .* have no height"):
+        check_executable(plan)
 
 
 def test_the_checker_finds_missing_passes_and_speed_and_wrist_beyond_their_limits(tmp_path):

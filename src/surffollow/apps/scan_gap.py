@@ -35,9 +35,12 @@ class GapWatch:
         self._ticks = self._since_ns = 0
 
     def tick(self, service: Any) -> list[str]:
-        """Take the newest reading of a service (or None) and look; returns lines for the operator."""
+        """Take the newest reading of a service (or None) and look; returns lines for the operator.
+
+        A retract bends the arm, by more than the tolerance: its readings are no ground.
+        """
         robot, monitor = self._robot, self._robot.monitor
-        if monitor is None:
+        if monitor is None or robot.leaving:
             return []
         if service is not None:
             try:
@@ -46,7 +49,7 @@ class GapWatch:
                 out = None
             if out is not None:
                 monitor.reading(int(out["range_t_ns"][0]), float(out["range_m"][0]))
-        if robot.leaving or not robot.inside:
+        if not robot.inside:
             self._since_ns = 0
             return []
         self._ticks += 1

@@ -88,7 +88,7 @@ def parse_config(data: dict[str, Any], source: str = "configuration") -> Arbiter
         config = msgspec.convert(data, ArbiterConfig)
         _check(config)
     except (msgspec.ValidationError, ConfigError, InvalidNameError) as e:
-        text = key_error_text(e, ArbiterConfig) if isinstance(e, msgspec.ValidationError) else e
+        text = key_error_text(e, ArbiterConfig, data) if isinstance(e, msgspec.ValidationError) else e
         raise ConfigError(
             f"{source}: {text}; see docs/reference/arbiter.md of the source distribution"
         ) from None

@@ -18,10 +18,12 @@ def _send_command(name: str, word: str, as_json: bool) -> None:
         return
     x, y, z = answer["tip_m"]
     done = "" if word == "status" else f"{word} asked for; it was: "
+    number = f"pass {answer['pass'] + 1} of {answer['passes']}"
+    if answer["pass"] < 0:
+        number = f"on a turn, {answer['passes']} passes"
     click.echo(
-        f"{done}{answer['state']}, {100 * answer['progress']:.0f} %, pass {answer['pass'] + 1} of "
-        f"{answer['passes']}, tip at {x:.3f}, {y:.3f}, {z:.3f} m"
-        + (f"; {answer['trouble']}" if answer["trouble"] else "")
+        f"{done}{answer['state']}, {100 * answer['progress']:.0f} %, {number}, "
+        f"tip at {x:.3f}, {y:.3f}, {z:.3f} m" + (f"; {answer['trouble']}" if answer["trouble"] else "")
     )
 
 

@@ -41,7 +41,7 @@ MIN_CELLS = 3  # rows and columns of a map: fewer have no slope
     type=LENGTH,
     default="10cm",
     show_default=True,
-    help="Patches higher above the ground beside them are dropped as floating.",
+    help="Patches higher above the ground beside them float if ground was seen beneath, else are obstacles.",
 )
 @click.option(
     "--min-pixels", type=click.IntRange(1), default=50, show_default=True, help="Fewest pixels of a patch."
@@ -103,6 +103,12 @@ def map_command(
         draw_map(picture, ground)
     facts = {"map": output, "rows": rows, "cols": cols, "grid_m": ground.grid_m, "extent_m": ground.extent_m}
     print_facts(facts | report, as_json)
+    if report["covered"]:
+        click.echo(
+            f"warning: {report['covered']} cells stay unknown beneath what was seen above the ground and "
+            "dropped; a path over them is flagged unknown_beneath, and keeps no gap from what is there",
+            err=True,
+        )
 
 
 @click.command("compose")

@@ -31,16 +31,21 @@ def convert_table(table: Mapping[str, Any], kind: type[_T]) -> _T:
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
-        raise msgspec.ValidationError(key_error_text(error, kind)) from error
+        raise msgspec.ValidationError(key_error_text(error, kind, table)) from error
 
 
-def key_error_text(error: msgspec.ValidationError, kind: type[msgspec.Struct] | None = None) -> str:
+def key_error_text(
+    error: msgspec.ValidationError,
+    kind: type[msgspec.Struct] | None = None,
+    data: Mapping[str, Any] | None = None,
+) -> str:
     """The error in the terms of a TOML file, with the keys to choose from.
 
     Parameters
     ----------
     error : of `msgspec.convert`
     kind : the structure that was converted to; None: without its keys
+    data : what was converted; None: tables whose names are free are called NAME
 
     Returns
     -------
@@ -49,21 +54,42 @@ def key_error_text(error: msgspec.ValidationError, kind: type[msgspec.Struct] | 
     """
     text = str(error)
     if found := _UNKNOWN.match(text):
-        return (
-            f"key {found['key']!r}{_of(found['path'])} is unknown{_hint(found['key'], found['path'], kind)}"
-        )
+        of, hint = _of(_named(found["path"], kind, data)), _hint(found["key"], found["path"], kind)
+        return f"key {found['key']!r}{of} is unknown{hint}"
     if found := _MISSING.match(text):
-        return f"key {found['key']!r}{_of(found['path'])} is missing"
+        return f"key {found['key']!r}{_of(_named(found['path'], kind, data))} is missing"
     if found := _OTHER.match(text):
         said = found["text"][0].lower() + found["text"][1:]
         for json_word, toml_word in _TOML_WORDS.items():
             said = said.replace(f"`{json_word}`", toml_word)
-        return f"key {found['path']}: {said.replace('`', '')}"
+        return f"key {_named(found['path'], kind, data)}: {said.replace('`', '')}"
     return text
 
 
 def _of(path: str | None) -> str:
-    return f" of [{path.replace('[...]', '.NAME')}]" if path else ""
+    return f" of [{path}]" if path else ""
+
+
+def _named(path: str | None, kind: type[msgspec.Struct] | None, data: Mapping[str, Any] | None) -> str | None:
+    """The path with the name of the first table that is wrong for [...], or NAME if it is not found."""
+    before, anywhere, after = (path or "").partition("[...]")
+    if not anywhere:
+        return path
+    names = [f for f in msgspec.structs.fields(kind) if f.encode_name == before] if kind else []
+    tables = data.get(before) if data is not None else None
+    wrong = "NAME"
+    if names and isinstance(tables, Mapping):
+        element = typing.get_args(names[0].type)[-1]
+        wrong = next((name for name, table in tables.items() if not _is(table, element)), wrong)
+    return f"{before}.{wrong}{after.replace('[...]', '.NAME')}"
+
+
+def _is(table: Any, kind: Any) -> bool:
+    try:
+        msgspec.convert(table, kind)
+    except msgspec.ValidationError:
+        return False
+    return True
 
 
 def _hint(key: str, path: str | None, kind: type[msgspec.Struct] | None) -> str:

@@ -126,7 +126,13 @@ def load(path: FilePath, *, progress: Progress | None = None) -> tuple[NDArray[A
         if fault:
             raise MapFileError(f"{path} holds no usable map: {fault}")
         report(progress, 0.5)
-        return map_of_heights(heights, origin_m=origin, grid_m=grid)
+        try:
+            return map_of_heights(heights, origin_m=origin, grid_m=grid)
+        except UsageError as e:
+            raise MapFileError(
+                f"{path} holds heights that no map can: {e}; a value for unknown cells must be the one that "
+                "the file declares as NODATA"
+            ) from e
     return read_text(path, progress=progress)
 
 

@@ -100,13 +100,15 @@ def _rows(
     dt = np.diff(at["t_s"])
     rising = bool(np.isfinite(at["t_s"]).all() and (dt > 0.0).all())
     off = float(np.abs(axes[:, :, 2] - normal).max())
+    bare = int(np.count_nonzero(~planned))
     silent = int(np.count_nonzero(~planned & (flags & UNKNOWN_BENEATH == 0)))
+    text = f"{bare} samples have no height, {silent} of them without a flag that says why"
+    if bare:
+        text += "; plan a smaller region, or fill holes of the map (scan plan --fill)"
     return [
         Finding("time", rising, "times are finite and ascend" if rising else "times do not ascend"),
         Finding("pose", off < 1e-6, f"quaternion and normal differ by at most {off:.2g}", off),
-        Finding(
-            "unplanned", silent == 0, f"{silent} samples have no height and no flag that says why", silent
-        ),
+        Finding("unplanned", bare == 0, text, bare),
     ]
 
 

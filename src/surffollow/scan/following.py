@@ -212,20 +212,21 @@ def _follow(
     made = path.changed(position_m=position, normal=attitude, lift_m=path.lift_m + lift)
     made = made.with_flag(WRIST_LIMIT, clamped | (at_limit & turned))
     made = made.with_flag(LIFTED, made.lift_m > LIFTED_M)
+    made = _flag_beneath(made, body, grid, FILLED_BENEATH, grid.cells == FILLED, outside=False)
     if isinstance(envelope, Envelope):
-        unknown = made.has(UNKNOWN_BENEATH) | _any_unknown(made, body, envelope)
-        made = made.with_flag(UNKNOWN_BENEATH, unknown)
+        made = _flag_beneath(made, body, grid, UNKNOWN_BENEATH, envelope.unknown_beneath, outside=True)
     return made
 
 
-def _any_unknown(path: ScanPath, body: Floats, envelope: Envelope) -> NDArray[np.bool_]:
-    """(n,) bool: unknown ground within the gap of any control point."""
+def _flag_beneath(
+    path: ScanPath, body: Floats, grid: TerrainGrid, flag: int, cells: NDArray[np.bool_], *, outside: bool
+) -> ScanPath:
+    """The path with a flag also where one of these cells, or what is outside, is beneath a control point."""
     axes = body_axes(path.normal, path.azimuth_rad)
-    found = np.zeros(len(path), np.bool_)
+    found = path.has(flag)
     for point in body:
-        at = path.position_m + axes @ point
-        found |= _at(envelope.unknown_beneath, _cells(at, envelope.grid), outside=True)
-    return found
+        found |= _at(cells, _cells(path.position_m + axes @ point, grid), outside=outside)
+    return path.with_flag(flag, found)
 
 
 def _grid(envelope: Envelope | TerrainGrid) -> TerrainGrid:

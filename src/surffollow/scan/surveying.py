@@ -7,15 +7,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surffollow.errors import ScanInputError
 from surffollow.scan.checks import Floats
-from surffollow.scan.grid import CELL_NAMES, TerrainGrid
+from surffollow.scan.grid import CELL_NAMES, UNKNOWN, TerrainGrid
 from surffollow.scan.image_files import DepthImage
 from surffollow.scan.image_filters import gaussian_filter, median_filter
-from surffollow.scan.patches import coherent_patches
+from surffollow.scan.patches import (
+    FLOATING,
+    OVERHANGING,
+    RAISED,
+    TOO_SMALL,
+    coherent_patches,
+    seen_points,
+)
 from surffollow.scan.planar_filter import conditional_planar_filter
 from surffollow.scan.planar_kernels import PLANAR, ROUGH
+from surffollow.scan.seen_beneath import LowestSeen, hidden_points
 from surffollow.scan.terrain import terrain_map
 
 FILTERS = ("cpf", "cpf-fast", "gaussian", "median", "none")
@@ -78,7 +87,8 @@ def survey(
 
     Returns
     -------
-    TerrainGrid, and a report: per image the patches and pixels kept and dropped by criterion
+    TerrainGrid, and a report: per image the patches and pixels kept and dropped by criterion, and the unknown
+    cells beneath dropped ones (`covered`)
 
     Raises
     ------
@@ -92,39 +102,76 @@ def survey(
     >>> cloud_m = np.column_stack([x_m.ravel(), y_m.ravel(), 0.1 * x_m.ravel()])
     >>> ground, report = survey([], [cloud_m], SurveySettings(grid_m=0.05))
     >>> round(float(ground.heights_m[10, 10]), 2), sorted(report)
-    (0.05, ['cells', 'images', 'points'])
+    (0.05, ['cells', 'covered', 'images', 'points'])
     """
     if not images and not clouds:
         raise ScanInputError("no image and no cloud; give at least one")
-    points, weights, per_image = [], [], []
+    seen = _seen(images, clouds, settings)
+    points, weights, raised, above, per_image = [], [], [], [], []
     for k, image in enumerate(images):
-        p, w, report = terrain_points(image, settings)
-        points.append(p)
-        weights.append(w)
-        per_image.append(report)
+        found = terrain_points(image, settings, seen)
+        points.append(found.points)
+        weights.append(found.weights)
+        raised.append(found.raised)
+        above.append(found.above)
+        per_image.append(found.report)
         if progress is not None:
             progress(0.8 * (k + 1) / len(images))
     for cloud in clouds:
         points.append(cloud)
         weights.append(np.ones(len(cloud)))
+        raised.append(np.zeros(len(cloud), np.bool_))
     if not points or not sum(map(len, points)):
         raise ScanInputError("no pixel of the images can be terrain; see the counts of dropped patches")
+    merged = np.vstack(points)
+    use = ~hidden_points(merged, np.concatenate(raised), settings.grid_m, settings.support_m)
     ground = terrain_map(
-        np.vstack(points),
+        merged[use],
         settings.grid_m,
         region=settings.region,
-        weights=np.concatenate(weights),
+        weights=np.concatenate(weights)[use],
         average_m=settings.average_m,
         fill_m=settings.fill_m,
+        above_m=np.vstack(above) if above else None,
     )
     counts = {name: int(np.count_nonzero(ground.cells == k)) for k, name in enumerate(CELL_NAMES)}
-    return ground, {"images": per_image, "points": int(sum(map(len, points))), "cells": counts}
+    covered = _unknown_beneath(ground, np.vstack(above)) if above else 0
+    report = {"images": per_image, "points": int(sum(map(len, points))), "cells": counts}
+    return ground, report | {"covered": covered}
 
 
-def terrain_points(image: DepthImage, settings: SurveySettings) -> tuple[Floats, Floats, dict[str, Any]]:
-    """(n, 3) points of an image that can be terrain, their weights 1 / variance (∝ z⁻⁴), and a report."""
-    camera = image.camera
-    depth = camera.depth_m(image.values) if image.kind == "disparity" else image.values
+@dataclass(frozen=True)
+class SurveyPoints:
+    """Points of an image for a map.
+
+    Attributes
+    ----------
+    points : (n, 3) float64 [m]     that can be terrain, or stay as obstacles
+    weights : (n,) float64          1 / variance (∝ z⁻⁴)
+    raised : (n,) bool              of patches that stay as obstacles
+    above : (k, 3) float64 [m]      of patches that were dropped
+    report : dict                   ready for JSON
+    """
+
+    points: Floats
+    weights: Floats
+    raised: NDArray[np.bool_]
+    above: Floats
+    report: dict[str, Any]
+
+
+def terrain_points(
+    image: DepthImage, settings: SurveySettings, seen: LowestSeen | None = None
+) -> SurveyPoints:
+    """Points of an image that can be terrain, and what else it shows.
+
+    Parameters
+    ----------
+    image : DepthImage
+    settings : SurveySettings
+    seen : LowestSeen       what all images show; None: what this one shows
+    """
+    camera, depth = image.camera, _depths(image)
     patches = coherent_patches(
         depth,
         camera,
@@ -132,6 +179,7 @@ def terrain_points(image: DepthImage, settings: SurveySettings) -> tuple[Floats,
         support_m=settings.support_m,
         region=settings.region,
         border_px=settings.border_px,
+        seen=seen,
     )
     kept = np.where(patches.terrain, depth, np.nan)
     report: dict[str, Any] = {
@@ -144,7 +192,34 @@ def terrain_points(image: DepthImage, settings: SurveySettings) -> tuple[Floats,
         report |= labels
     points = camera.points_m(kept)
     good = np.isfinite(points).all(axis=-1)
-    return points[good], (1.0 / np.maximum(kept[good], 1e-6) ** 4), report
+    dropped = patches.having(TOO_SMALL, OVERHANGING, FLOATING)
+    return SurveyPoints(
+        points[good],
+        1.0 / np.maximum(kept[good], 1e-6) ** 4,
+        patches.having(RAISED)[good],
+        camera.points_m(np.where(dropped, depth, np.nan))[dropped],
+        report,
+    )
+
+
+def _depths(image: DepthImage) -> Floats:
+    return image.camera.depth_m(image.values) if image.kind == "disparity" else image.values
+
+
+def _unknown_beneath(ground: TerrainGrid, points: Floats) -> int:
+    """Number of unknown cells that hold some of the points (n, 3) [m]."""
+    at = np.floor((points[:, :2] - np.array(ground.origin_m)) / ground.grid_m).astype(np.int64)
+    at = at[((at >= 0) & (at < np.array(ground.shape[::-1]))).all(axis=1)]
+    return len(np.unique(at[ground.cells[at[:, 1], at[:, 0]] == UNKNOWN], axis=0))
+
+
+def _seen(images: Sequence[DepthImage], clouds: Sequence[Floats], settings: SurveySettings) -> LowestSeen:
+    """Lowest heights of all images and clouds, in cells that none of the images leaves empty."""
+    parts = [seen_points(_depths(i), i.camera, min_pixels=settings.min_pixels) for i in images]
+    seen = LowestSeen(max([settings.grid_m, *(cell for _, cell in parts)]))
+    for points in (*(p for p, _ in parts), *clouds):
+        seen.add(points)
+    return seen
 
 
 def filtered(depth: Floats, image: DepthImage, settings: SurveySettings) -> tuple[Floats, dict[str, Any]]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import label, maximum_filter
 from scipy.spatial import Delaunay, QhullError
 
 from surffollow.errors import ScanInputError
@@ -17,6 +18,9 @@ from surffollow.scan.triangles import lay_triangles
 from surffollow.units import numbers_text
 
 FILL_CELLS = 10.0  # holes this wide are filled by default
+COVERED_CELLS = (
+    3.0  # longest edge of triangles beneath points above the ground: neighbours measured all round
+)
 MAX_CELLS = 100_000_000
 
 
@@ -28,6 +32,7 @@ def terrain_map(
     weights: ArrayLike | None = None,
     average_m: float | None = None,
     fill_m: float | None = None,
+    above_m: ArrayLike | None = None,
 ) -> TerrainGrid:
     """A uniform height map of scattered points.
 
@@ -46,6 +51,9 @@ def terrain_map(
     fill_m : float [m]
         holes are filled by triangles whose edges are at most this long;
         None: 10 cells
+    above_m : (k, 3) float [m]
+        what was seen and is no terrain. Beneath it, holes wider than 3 cells stay unknown, as it may stand
+        there. inf as height: of unknown height
 
     Returns
     -------
@@ -105,7 +113,28 @@ def terrain_map(
     alone = np.isnan(z[row, col])
     z[row[alone], col[alone]] = height[alone]
     flags[row, col] = MEASURED
+    if above_m is not None:
+        above = real_array("above_m", above_m, (None, 3))
+        covered = _covered(above[~np.isnan(above).any(axis=1)], z, flags, (x0, y0), g)
+        near_z = np.full((rows, cols), np.nan)
+        lay_triangles(cells, triangles, min(COVERED_CELLS, fill / g), False, covered, near_z)
+        covered &= np.isnan(near_z)
+        z[covered], flags[covered] = np.nan, UNKNOWN
     return TerrainGrid(z, (x0, y0), g, flags)
+
+
+def _covered(
+    above: Floats, z: Floats, flags: NDArray[np.uint8], origin_m: tuple[float, float], g: float
+) -> NDArray[np.bool_]:
+    """(rows, cols) bool: filled cells with a point above, more than a cell higher than the eight around."""
+    highest = maximum_filter(np.where(np.isfinite(z), z, -np.inf), size=3, mode="nearest")
+    row, col = _cell_of(above, origin_m, g)
+    inside = (row >= 0) & (row < z.shape[0]) & (col >= 0) & (col < z.shape[1])
+    row, col, height = row[inside], col[inside], above[inside, 2]
+    higher = (flags[row, col] == FILLED) & (height > highest[row, col] + g)
+    out = np.zeros(z.shape, np.bool_)
+    out[row[higher], col[higher]] = True
+    return out
 
 
 def averages(points: Floats, weights: Floats, origin_m: tuple[float, float], side_m: float) -> Floats:
@@ -162,7 +191,8 @@ def compose_stations(
     Returns
     -------
     TerrainGrid
-        measured cells of all stations averaged where they overlap, holes filled anew
+        measured cells of all stations averaged where they overlap, holes filled anew. What a station left
+        unknown amid known ground stays unknown unless another station measured it: it may be an obstacle
 
     Examples
     --------
@@ -179,14 +209,25 @@ def compose_stations(
 
     if not stations:
         raise ScanInputError("no station to compose; give at least one map")
-    parts = []
+    parts, left = [], []
     for grid, pose in stations:
         m = rigid_transform(pose)
         x, y = grid.centres_m()
         row, col = np.nonzero(grid.cells == MEASURED)
         local = np.column_stack([x[col], y[row], grid.heights_m[row, col]])
         parts.append(local @ m[:3, :3].T + m[:3, 3])
-    return terrain_map(np.vstack(parts), grid_m, region=region, fill_m=fill_m)
+        row, col = np.nonzero(_enclosed(grid.cells == UNKNOWN))
+        height = float(local[:, 2].mean()) if len(local) else 0.0
+        hole = np.column_stack([x[col], y[row], np.full(len(row), height)]) @ m[:3, :3].T + m[:3, 3]
+        left.append(np.column_stack([hole[:, :2], np.full(len(row), np.inf)]))
+    return terrain_map(np.vstack(parts), grid_m, region=region, fill_m=fill_m, above_m=np.vstack(left))
+
+
+def _enclosed(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(rows, cols) bool: the parts of unknown cells that do not touch the edge of the grid."""
+    parts, _ = label(unknown)
+    edge = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
+    return np.asarray(unknown & ~np.isin(parts, edge))
 
 
 def _points(points_m: ArrayLike, weights: ArrayLike | None) -> tuple[Floats, Floats]:

@@ -15,6 +15,7 @@ from surffollow.shm import map_layout as ml
 
 Raster = tuple[NDArray[np.float64], tuple[float, float], float]
 _NODATA = -9999.0
+_NODATA_PART = 5e-6  # of its size: a text may have six digits of it
 
 
 def nodata_value(header: NDArray[Any]) -> float:
@@ -99,5 +100,7 @@ def read_esri_ascii(path: FilePath) -> Raster:
             corner.append(head[f"{axis}llcenter"] - grid / 2)
         else:
             raise MapFileError(f"{path} is not an ESRI ASCII grid: it lacks {axis}llcorner")
-    values[values == head.get("nodata_value", _NODATA)] = np.nan
+    nodata = head.get("nodata_value", _NODATA)
+    with np.errstate(invalid="ignore"):
+        values[(values == nodata) | (np.abs(values - nodata) <= _NODATA_PART * abs(nodata))] = np.nan
     return values.reshape(ny, nx)[::-1], (corner[0], corner[1]), grid
