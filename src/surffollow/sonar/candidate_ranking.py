@@ -12,8 +12,7 @@ from surffollow.sonar.pair import (
     MERGE,
     PHI,
 )
-
-CONTRADICTION_WEIGHT = 3  # inliers that one contradiction outweighs
+from surffollow.sonar.posterior import CONTRADICTION_WEIGHT
 
 
 @jit

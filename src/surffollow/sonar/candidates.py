@@ -21,6 +21,7 @@ from surffollow.sonar.pair import (
     SOLUTION,
     VAR_DISTANCE,
     VAR_PHI,
+    beam_solution,
     solve_pair,
 )
 
@@ -69,41 +70,6 @@ def bound_by_beams(readings: Any, i: Any, j: Any, solution: Any, bounded: Any) -
     bounded[DISTANCE] += gain * (clamped - offset)
     bounded[VAR_DISTANCE] += gain * gain * (variance - solution[VAR_PHI])
     bounded[VAR_PHI], bounded[COV] = variance, gain * variance
-
-
-@jit
-def beam_solution(readings: Any, i: Any, j: Any, found: Any) -> Any:
-    """The wall that two overlapping beams allow where the noise of the ranges leaves no closed-form solution.
-
-    Parameters
-    ----------
-    found : (19, 5) float64   the first row is written
-
-    Returns
-    -------
-    int64   1, or 0 where the beams do not overlap or the ranges differ by more than their noise explains
-    """
-    positions_m, headings_rad, ranges_m = readings.positions_m, readings.headings_rad, readings.ranges_m
-    sigmas_m = readings.sigmas_m
-    apart = wrap(headings_rad[j] - headings_rad[i])
-    half = readings.half_beam_rad - 0.5 * abs(apart)
-    if half <= 0.0:
-        return 0
-    phi = headings_rad[i] + 0.5 * apart
-    nx, ny = math.cos(phi), math.sin(phi)
-    d_i = ranges_m[i] + nx * positions_m[i, 0] + ny * positions_m[i, 1]
-    d_j = ranges_m[j] + nx * positions_m[j, 0] + ny * positions_m[j, 1]
-    slope_i = nx * positions_m[i, 1] - ny * positions_m[i, 0]
-    slope_j = nx * positions_m[j, 1] - ny * positions_m[j, 0]
-    noise = N_SIGMA * math.hypot(sigmas_m[i], sigmas_m[j])
-    if abs(d_i - d_j) > noise + half * abs(slope_i - slope_j):
-        return 0
-    wall, slope = found[0], 0.5 * (slope_i + slope_j)
-    wall[PHI], wall[DISTANCE] = wrap(phi), 0.5 * (d_i + d_j)
-    wall[VAR_PHI] = half * half / 3.0
-    wall[COV] = slope * wall[VAR_PHI]
-    wall[VAR_DISTANCE] = slope * wall[COV] + 0.25 * (sigmas_m[i] ** 2 + sigmas_m[j] ** 2)
-    return 1
 
 
 @jit
@@ -168,9 +134,9 @@ def find_candidates(
                 max_incidence_rad < 0.5 * math.pi
             ):
                 continue
-            m = solve_pair(readings, i, j, found)
+            m = solve_pair(readings, i, j, by_beams, found)
             if m == 0 and by_beams:
-                m = beam_solution(readings, i, j, found)
+                m = int(beam_solution(readings, i, j, found[0]))
             for k in range(m):
                 if n == candidates.shape[0]:
                     return n

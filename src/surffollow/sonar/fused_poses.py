@@ -32,9 +32,9 @@ def fused_pose(
 ) -> WallPose | None:
     """One wall from all readings: posterior mean over the normals that echoes and silence allow.
 
-    The likelihood of the ranges is taken over the intersection of the answering beams without the beams that
-    were silent. Where it is narrow, weighted least squares refine it. The wall with the most inliers is
-    returned.
+    The likelihood of the ranges is taken over the intersection of the answering beams. A silent beam that
+    would have seen a normal excludes it, unless more than three echoes speak for the normal. Where the
+    likelihood is narrow, weighted least squares refine it. The wall with the best score is returned.
 
     Parameters and errors as `wall_pose`; `sigma_m` must be positive. None where no echo came.
 

@@ -11,7 +11,15 @@ import math
 from typing import Any
 
 from surffollow.shm.jit import jit
-from surffollow.sonar.beam import MIN_COS_EDGE, reading_sensitivity, wrap
+from surffollow.sonar.beam import MIN_COS_EDGE, wrap
+from surffollow.sonar.pair_spread import (
+    MIN_BASE_M,
+    greatest_std,
+    measured_points,
+    pair_covariance,
+    ranges_of_tangent,
+    wall_through,
+)
 
 EXACT_RAD = 1e-9  # tolerance of the states without noise
 MERGE = 1e-7  # candidates nearer than this [rad, m] are one
@@ -22,50 +30,61 @@ SOLUTION = 5  # columns of a solution
 
 
 @jit
-def _matches(
-    incidence_rad: Any, state: Any, half_beam_rad: Any, max_incidence_rad: Any, tolerance_rad: Any
-) -> Any:
-    """Whether an incidence belongs to a state: 0 middle, 1 left edge, −1 right edge."""
+def _mismatch(incidence_rad: Any, state: Any, half_beam_rad: Any, max_incidence_rad: Any) -> Any:
+    """How far [rad] an incidence is from those of a state: 0 middle, 1 left edge, −1 right edge."""
     if state == 0:
-        return abs(incidence_rad) <= min(half_beam_rad, max_incidence_rad) + tolerance_rad
+        return abs(incidence_rad) - min(half_beam_rad, max_incidence_rad)
     beyond = state * incidence_rad
-    return half_beam_rad - tolerance_rad <= beyond <= max_incidence_rad + tolerance_rad
+    return max(half_beam_rad - beyond, beyond - max_incidence_rad)
 
 
 @jit
-def pair_covariance(readings: Any, i: Any, j: Any, phi_rad: Any) -> Any:
-    """Covariance of (φ, d) from two readings: (AᵀWA)⁻¹.
+def beam_solution(readings: Any, i: Any, j: Any, wall: Any) -> Any:
+    """The wall that two overlapping beams allow where the noise of the ranges leaves no closed-form solution.
 
     Parameters
     ----------
-    readings : Readings
-    i, j : int64       indices of the two readings
-    phi_rad : float64  φ at which the design matrix is taken
+    wall : (5,) float64   φ, d, var φ, covariance, var d; written
 
     Returns
     -------
-    float64 × 3   var φ [rad²], covariance [rad m], var d [m²]; inf where the pair does not fix φ
+    bool   False where the beams do not overlap or the ranges differ by more than their noise explains
     """
-    nx, ny = math.cos(phi_rad), math.sin(phi_rad)
-    a_i, c_i = reading_sensitivity(readings, i, phi_rad, nx, ny)
-    a_j, c_j = reading_sensitivity(readings, j, phi_rad, nx, ny)
-    s_i, s_j = (readings.sigmas_m[i] * c_i) ** 2, (readings.sigmas_m[j] * c_j) ** 2
-    if a_i == a_j:
-        return math.inf, 0.0, math.inf
-    # two equations, two unknowns: invert A itself
-    scale = 1.0 / (a_i - a_j) ** 2
-    return (s_i + s_j) * scale, -(a_j * s_i + a_i * s_j) * scale, (a_j * a_j * s_i + a_i * a_i * s_j) * scale
+    positions_m, headings_rad, ranges_m = readings.positions_m, readings.headings_rad, readings.ranges_m
+    sigmas_m = readings.sigmas_m
+    apart = wrap(headings_rad[j] - headings_rad[i])
+    half = readings.half_beam_rad - 0.5 * abs(apart)
+    if half <= 0.0:
+        return False
+    phi = headings_rad[i] + 0.5 * apart
+    nx, ny = math.cos(phi), math.sin(phi)
+    d_i = ranges_m[i] + nx * positions_m[i, 0] + ny * positions_m[i, 1]
+    d_j = ranges_m[j] + nx * positions_m[j, 0] + ny * positions_m[j, 1]
+    slope_i = nx * positions_m[i, 1] - ny * positions_m[i, 0]
+    slope_j = nx * positions_m[j, 1] - ny * positions_m[j, 0]
+    noise = N_SIGMA * math.hypot(sigmas_m[i], sigmas_m[j])
+    if abs(d_i - d_j) > noise + half * abs(slope_i - slope_j):
+        return False
+    slope = 0.5 * (slope_i + slope_j)
+    wall[PHI], wall[DISTANCE] = wrap(phi), 0.5 * (d_i + d_j)
+    wall[VAR_PHI] = half * half / 3.0
+    wall[COV] = slope * wall[VAR_PHI]
+    wall[VAR_DISTANCE] = slope * wall[COV] + 0.25 * (sigmas_m[i] ** 2 + sigmas_m[j] ** 2)
+    return True
 
 
 @jit
-def solve_pair(readings: Any, i: Any, j: Any, found: Any) -> Any:
+def solve_pair(readings: Any, i: Any, j: Any, by_beams: Any, found: Any) -> Any:
     """Every wall that readings i and j allow.
 
     Parameters
     ----------
     readings : Readings
     i, j : int64                   two sonars with finite ranges
-    found : (18, 5) float64        written: φ, d, var φ, covariance, var d
+    by_beams : bool
+        where noise turned a solution with the middle of both beams out of them, `beam_solution` takes its
+        place while it is more certain
+    found : (19, 5) float64        written: φ, d, var φ, covariance, var d
 
     Returns
     -------
@@ -75,51 +94,63 @@ def solve_pair(readings: Any, i: Any, j: Any, found: Any) -> Any:
     positions_m, headings_rad, ranges_m = readings.positions_m, readings.headings_rad, readings.ranges_m
     half_beam_rad, max_incidence_rad = readings.half_beam_rad, readings.max_incidence_rad
     xi, yi, xj, yj = positions_m[i, 0], positions_m[i, 1], positions_m[j, 0], positions_m[j, 1]
-    ri, rj = ranges_m[i], ranges_m[j]
     edges = 1 if max_incidence_rad > half_beam_rad else 0
     for si in range(-edges, edges + 1):
-        # the edge ray's end; the sonar itself while the wall is seen by the middle of the beam
-        ti = headings_rad[i] + si * half_beam_rad
-        ax, ay = (xi + ri * math.cos(ti), yi + ri * math.sin(ti)) if si != 0 else (xi, yi)
-        hi = 0.0 if si != 0 else ri
         for sj in range(-edges, edges + 1):
-            tj = headings_rad[j] + sj * half_beam_rad
-            bx, by = (xj + rj * math.cos(tj), yj + rj * math.sin(tj)) if sj != 0 else (xj, yj)
-            hj = 0.0 if sj != 0 else rj
-            # n·a + hi = n·b + hj = d, so n·(a − b) = hj − hi
-            cx, cy = ax - bx, ay - by
-            base = math.hypot(cx, cy)
-            if base < 1e-12 or abs(hj - hi) > base:
+            ri, rj = ranges_m[i], ranges_m[j]
+            points = measured_points(readings, i, j, si, sj, ri, rj)
+            base = math.hypot(points[0], points[1])
+            beyond = abs(points[5] - points[4]) - base
+            if base < MIN_BASE_M or beyond > N_SIGMA * (readings.sigmas_m[i] + readings.sigmas_m[j]):
                 continue
-            opening = math.acos((hj - hi) / base)
-            direction = math.atan2(cy, cx)
-            for sign in range(-1, 2, 2):
-                phi = wrap(direction + sign * opening)
+            if beyond > 0.0:
+                # noise left no solution: the one at the nearest ranges that have one
+                phi, _ = wall_through(points, 1)
+                ri, rj = ranges_of_tangent(readings, i, j, si, sj, phi)
+                if math.isnan(ri):
+                    continue
+                points = measured_points(readings, i, j, si, sj, ri, rj)
+            for sign in range(-1 if beyond <= 0.0 else 1, 2, 2):
+                phi, distance = wall_through(points, sign)
                 nx, ny = math.cos(phi), math.sin(phi)
-                distance = 0.5 * (hi + hj + nx * (ax + bx) + ny * (ay + by))
                 # in front of both sonars; the frame's origin may be behind it
                 if distance - nx * xi - ny * yi <= 0.0 or distance - nx * xj - ny * yj <= 0.0:
                     continue
-                var_phi, cov, var_d = pair_covariance(readings, i, j, phi)
-                tolerance = EXACT_RAD
-                if math.isfinite(var_phi):
-                    tolerance += N_SIGMA * math.sqrt(var_phi)
                 di, dj = wrap(phi - headings_rad[i]), wrap(phi - headings_rad[j])
-                if not _matches(di, si, half_beam_rad, max_incidence_rad, tolerance):
-                    continue
-                if not _matches(dj, sj, half_beam_rad, max_incidence_rad, tolerance):
-                    continue
                 limit = half_beam_rad + 0.5 * math.pi - MIN_COS_EDGE
                 if abs(di) >= limit or abs(dj) >= limit:
                     continue
+                pair = (i, j, si, sj, sign)
+                off = max(
+                    _mismatch(di, si, half_beam_rad, max_incidence_rad),
+                    _mismatch(dj, sj, half_beam_rad, max_incidence_rad),
+                )
+                if off > EXACT_RAD + N_SIGMA * greatest_std(readings, pair, points, phi):
+                    continue
+                var_phi, cov, var_d = pair_covariance(readings, pair, (phi, distance), ri, rj)
+                if off > EXACT_RAD + N_SIGMA * math.sqrt(var_phi):
+                    continue
+                row = found[n]
+                row[PHI], row[DISTANCE], row[VAR_PHI], row[COV], row[VAR_DISTANCE] = (
+                    phi,
+                    distance,
+                    var_phi,
+                    cov,
+                    var_d,
+                )
+                if off > EXACT_RAD and si == 0 and sj == 0 and by_beams:
+                    beams = found[MAX_SOLUTIONS]
+                    if beam_solution(readings, i, j, beams) and beams[VAR_PHI] < var_phi:
+                        row[:] = beams
                 known = False
                 for k in range(n):
-                    if abs(wrap(found[k, PHI] - phi)) < MERGE and abs(found[k, DISTANCE] - distance) < MERGE:
+                    if (
+                        abs(wrap(found[k, PHI] - row[PHI])) < MERGE
+                        and abs(found[k, DISTANCE] - row[DISTANCE]) < MERGE
+                    ):
                         known = True
                 if known:
                     continue
-                found[n, PHI], found[n, DISTANCE] = phi, distance
-                found[n, VAR_PHI], found[n, COV], found[n, VAR_DISTANCE] = var_phi, cov, var_d
                 n += 1
                 if n == MAX_SOLUTIONS:
                     return n

@@ -19,6 +19,9 @@ from surffollow.sonar.candidate_ranking import distinct_walls
 from surffollow.sonar.readings import Readings, about_their_mean, check_readings
 from surffollow.sonar.wall import WallPose, check_prior, mark_favoured, wall_of
 
+# errors of φ, in standard deviations, at which a wall is compared with the readings: up to the gate of 3
+ERRORS_TRIED = tuple(0.25 * sign * k for k in range(13) for sign in (1, -1)[: 2 if k else 1])
+
 
 def _candidates(readings: Readings) -> tuple[NDArray[np.float64], int]:
     m = readings.ranges_m.size
@@ -70,10 +73,10 @@ def wall_pose(
     list of WallPose
         The walls that every reading agrees with: the favoured ones first, then by L²·var φ + var d (L = 1 m),
         d taken from the mean of the sonars' places. `ambiguous` is set in all of them when several are
-        favoured. A wall is not `favoured` where it does not predict every reading within three standard
-        deviations and another does, where a beam's axis points away from it (|φ − θ| > 90°) and another
-        wall has no such beam, or where it differs from `prior` by more than three standard deviations and
-        another does not. Covariance alone must not choose: it prefers mirrored walls. Where |r₂ − r₁| > B
+        favoured. A wall is not `favoured` where no wall within three standard deviations of it predicts every
+        reading within three of its own, and another does, where a beam's axis points away from it
+        (|φ − θ| > 90°) and another wall has no such beam, or where it differs from `prior` by
+        more than three standard deviations and another does not. Covariance alone must not choose: it prefers mirrored walls. Where |r₂ − r₁| > B
         by noise, the beams' overlap is the answer. Empty where infinitely many walls agree: a lone echo, or
         sonars at one place with equal ranges; `fused_pose` answers these with the covariance that the beams
         leave. Empty, too, where the readings differ from every wall by more than three standard deviations.
@@ -113,9 +116,14 @@ def wall_pose(
     reported, verdicts = np.isfinite(readings.ranges_m), np.empty(readings.ranges_m.size, np.int64)
 
     def reproduces(wall: WallPose) -> bool:
-        exactly = np.array([wall.phi_rad, wall.distance_m, 0.0, 0.0, 0.0])
-        agreement = count_agreement(readings, exactly, reported, verdicts)
-        return bool(agreement == (echoes, 0))
+        # noise turns a solution past the edge of a beam: the walls within its own error count, too
+        std = wall.phi_std_rad
+        gain = float(wall.covariance[0, 1]) / std if std > 0.0 else 0.0
+        for z in ERRORS_TRIED if std > 0.0 else (0.0,):
+            exactly = np.array([wall.phi_rad + z * std, wall.distance_m + z * gain, 0.0, 0.0, 0.0])
+            if count_agreement(readings, exactly, reported, verdicts) == (echoes, 0):
+                return True
+        return False
 
     unmarked = [wall_of(row, pair) for row, pair in pairs]
     marked = mark_favoured(unmarked, readings.headings_rad, prior, reproduces)

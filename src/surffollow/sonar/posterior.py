@@ -1,6 +1,6 @@
 """Wall pose from all readings that see one wall: posterior over φ, refined by least squares.
 
-Every echo bounds φ to its beam, every silent or farther sonar excludes the normals that would have
+Every echo bounds φ to its beam, every silent or farther sonar speaks against the normals that would have
 produced an echo, and the ranges weigh what remains. With few echoes the bounds say more than the ranges: the
 posterior mean is the estimate. With many the likelihood is narrow and least squares are exact.
 """
@@ -18,6 +18,8 @@ from surffollow.sonar.pair import COV, DISTANCE, N_SIGMA, PHI, VAR_DISTANCE, VAR
 N_POINTS = 181
 MAX_PASSES = 12
 NEGLIGIBLE = 40.0  # half the chi-square beyond the best that no longer counts: e^−40
+CONTRADICTION_WEIGHT = 3  # inliers that one contradiction outweighs
+MISSED = math.log(100.0)  # weight of a contradiction: one echo of a hundred is missed or comes too late
 NARROW = 0.1  # standard deviation over the support's width below which the likelihood decides alone
 MAX_ITERATIONS = 50
 
@@ -59,16 +61,31 @@ def _profile(readings: Any, verdicts: Any, phi_rad: Any) -> Any:
 
 
 @jit
-def _is_excluded(readings: Any, verdicts: Any, phi_rad: Any, distance_m: Any) -> Any:
-    """Whether a silent or farther sonar would have answered this wall."""
+def count_contradictions(readings: Any, verdicts: Any, phi_rad: Any, distance_m: Any, most: Any) -> Any:
+    """How many silent or farther sonars would have answered this wall.
+
+    Parameters
+    ----------
+    readings : Readings
+    verdicts : (m,) int64       INLIER: reading of this wall, which is not counted
+    phi_rad, distance_m : float64   the wall
+    most : int64                counting ends beyond it
+
+    Returns
+    -------
+    int64   at most `most` + 1
+    """
     nx, ny = math.cos(phi_rad), math.sin(phi_rad)
+    n = 0
     for i in range(readings.ranges_m.size):
         if verdicts[i] == INLIER or math.isnan(readings.ranges_m[i]):
             continue
         expected = expected_range(readings, i, phi_rad, nx, ny, distance_m)
         if expected < min(readings.ranges_m[i], readings.max_range_m) - 2.0 * N_SIGMA * readings.sigmas_m[i]:
-            return True
-    return False
+            n += 1
+            if n > most:
+                break
+    return n
 
 
 @jit
@@ -99,6 +116,9 @@ def beam_interval(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any) -
 def fuse(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any, points: Any, wall: Any) -> Any:
     """Posterior mean and covariance of one wall from its inliers, bounded by all other readings.
 
+    A reading that contradicts a normal makes it less likely by a drop-out's probability. A normal is possible
+    while its inliers outnumber three times its contradictions.
+
     Parameters
     ----------
     readings : Readings
@@ -120,6 +140,10 @@ def fuse(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any, points: An
     low, width = beam_interval(readings, verdicts, near_rad, reach_rad)
     if width < 0.0:
         return False
+    inliers = 0
+    for i in range(readings.ranges_m.size):
+        inliers += verdicts[i] == INLIER
+    most = max(inliers - 1, 0) // CONTRADICTION_WEIGHT
     mean = mean_d = var_phi = cov = var_d = support = 0.0
     for attempt in range(MAX_PASSES):
         step = width / N_POINTS
@@ -127,10 +151,14 @@ def fuse(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any, points: An
         for k in range(N_POINTS):
             phi = low + (k + 0.5) * step
             distance, information, half_chi, possible = _profile(readings, verdicts, phi)
+            against = 0
             if possible:
-                possible = not _is_excluded(readings, verdicts, phi, distance)
+                against = count_contradictions(readings, verdicts, phi, distance, most)
+                possible = against <= most
             points[k, 0], points[k, 1], points[k, 3] = distance, information, 1.0 if possible else 0.0
-            points[k, 2] = -half_chi - 0.5 * math.log(information) if possible else -math.inf
+            points[k, 2] = -math.inf
+            if possible:
+                points[k, 2] = -half_chi - 0.5 * math.log(information) - MISSED * against
             best = max(best, points[k, 2])
         if best == -math.inf:
             return False

@@ -11,9 +11,8 @@ from typing import Any
 
 from surffollow.shm.jit import jit
 from surffollow.sonar.agreement import count_agreement
-from surffollow.sonar.candidate_ranking import CONTRADICTION_WEIGHT
 from surffollow.sonar.pair import PHI
-from surffollow.sonar.posterior import fuse, least_squares
+from surffollow.sonar.posterior import CONTRADICTION_WEIGHT, fuse, least_squares
 
 POLISHES = 3  # rounds of "least squares over the inliers, count them anew"
 REFINEMENTS = 3  # rounds of "fuse the inliers, count them anew"

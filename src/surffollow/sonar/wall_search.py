@@ -18,12 +18,12 @@ from surffollow.sonar.candidates import (
     candidate_cost,
     find_candidates,
 )
-from surffollow.sonar.pair import MAX_SOLUTIONS, SOLUTION
-from surffollow.sonar.posterior import beam_interval
+from surffollow.sonar.pair import DISTANCE, MAX_SOLUTIONS, PHI, SOLUTION
+from surffollow.sonar.posterior import CONTRADICTION_WEIGHT, beam_interval, count_contradictions
 from surffollow.sonar.refinement import refine_candidate, refine_wall
 
 MAX_POLISHED = 8  # candidates that are compared once least squares made them certain
-MAX_FUSED = 4  # of them, tried until one agrees with all readings
+MAX_FUSED = 4  # of them, tried until one agrees with the readings
 GRAZING_RAD = math.radians(
     60.0
 )  # edge angle beyond which a range changes faster with φ than 3.5 d per radian
@@ -96,10 +96,11 @@ def wall_by_covariance_gate(
     -------
     int64  inliers; 0 for no wall
     """
-    bounded = found[MAX_SOLUTIONS]
+    bounded, kept, kept_score = found[MAX_SOLUTIONS], found[0], 0
     for _ in range(min(n, MAX_FUSED)):
         best = best_candidate(candidates, n)
-        if candidate_score(candidates[best]) < 2:
+        # a vague candidate agrees with much: its fused wall is kept while no other candidate promises more
+        if candidate_score(candidates[best]) <= kept_score:
             break
         i, j = int(candidates[best, FIRST]), int(candidates[best, SECOND])
         bound_by_beams(readings, i, j, candidates[best, :SOLUTION], bounded)
@@ -111,10 +112,18 @@ def wall_by_covariance_gate(
             wall[:] = bounded
             taken = refine_wall(readings, free, verdicts, False, points, wall)
             if taken >= 2:
-                return taken
+                against = count_contradictions(readings, verdicts, wall[PHI], wall[DISTANCE], taken)
+                score = max(1, taken - CONTRADICTION_WEIGHT * against)
+                if score > kept_score:
+                    kept[:], kept_score = wall, score
+                break
         n -= 1
         candidates[best] = candidates[n]
-    return 0
+    if kept_score == 0:
+        return 0
+    wall[:] = kept
+    taken, _ = count_agreement(readings, wall, free, verdicts)
+    return taken
 
 
 @jit_inlined
