@@ -83,14 +83,3 @@ def test_the_spread_of_a_pair_covers_the_arc_cosine_to_three_standard_deviations
     linear = math.sqrt(2.0) * sigma / base / math.sqrt(1.0 - share * share)
     if share <= 0.5:
         assert near.phi_std_rad == pytest.approx(linear, rel=0.05)
-
-
-def test_noise_that_leaves_an_edge_pair_without_solution_does_not_lose_the_wall():
-    # the middle of one beam and the edge of another: two solutions merge, and the noise passed them
-    p, t = np.array([(0.0, 0.0), (0.3, 0.0)]), np.array([0.0, -0.5])
-    half_beam, sigma = 0.2, 0.01
-    edge = p[1] + 2.0 * np.array([math.cos(t[1] + half_beam), math.sin(t[1] + half_beam)])
-    far, wall_phi = float(np.hypot(*edge)), math.atan2(edge[1], edge[0])
-    for beyond in (-0.5, 0.5, 1.5):
-        found = wall_pose(p, t, [far + beyond * sigma, 2.0], half_beam, model="diffuse", sigma_m=sigma)
-        assert min(abs(wrapped(w.phi_rad - wall_phi)) / w.phi_std_rad for w in found) < 2.0

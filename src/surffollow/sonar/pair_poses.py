@@ -76,10 +76,11 @@ def wall_pose(
         favoured. A wall is not `favoured` where no wall within three standard deviations of it predicts every
         reading within three of its own, and another does, where a beam's axis points away from it
         (|φ − θ| > 90°) and another wall has no such beam, or where it differs from `prior` by
-        more than three standard deviations and another does not. Covariance alone must not choose: it prefers mirrored walls. Where |r₂ − r₁| > B
-        by noise, the beams' overlap is the answer. Empty where infinitely many walls agree: a lone echo, or
-        sonars at one place with equal ranges; `fused_pose` answers these with the covariance that the beams
-        leave. Empty, too, where the readings differ from every wall by more than three standard deviations.
+        more than three standard deviations and another does not. Covariance alone must not choose: it prefers
+        mirrored walls. Where |r₂ − r₁| > B by noise, the beams' overlap is the answer. Empty where infinitely
+        many walls agree: a lone echo, or sonars at one place with equal ranges; `fused_pose` answers these
+        with the covariance that the beams leave. Empty, too, where the readings differ from every wall by
+        more than three standard deviations.
 
     Raises
     ------
