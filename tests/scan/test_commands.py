@@ -82,9 +82,9 @@ def test_images_become_a_map_a_plan_and_an_accepted_check(survey, tmp_path):
 
 
 def test_check_ends_with_1_over_other_ground(survey, tmp_path):
-    low, high = np.zeros((80, 80)), np.full((80, 80), 0.03)
+    low, high = np.zeros((160, 160)), np.full((160, 160), 0.03)
     for name, z in (("low", low), ("high", high)):
-        HeightMap.from_heights(z, origin_m=(0, 0), grid_m=0.01).save(tmp_path / f"{name}.npz")
+        HeightMap.from_heights(z, origin_m=(-0.4, -0.4), grid_m=0.01).save(tmp_path / f"{name}.npz")
     path = tmp_path / "p.csv"
     made = run("plan", tmp_path / "low.npz", "--region", "0.2,0.2,0.6,0.6", "--gap", "0.05", "-o", path)
     assert made.exit_code == 0, made.output

@@ -121,13 +121,14 @@ def test_a_path_west_of_its_base_turns_through_no_other_attitude(tmp_path, optio
     assert azimuth.min() < math.pi < azimuth.max() or azimuth.min() < -math.pi < azimuth.max()
 
 
-def test_a_plan_over_the_whole_map_is_accepted_where_the_body_reaches_beyond_it(tmp_path):
+def test_a_plan_over_the_whole_map_lacks_only_the_heights_of_turns_beyond_it(tmp_path):
     """Beyond the edge the body hangs beside ground that rises towards it, and is not below it."""
     x, y = (np.arange(280) + 0.5) * 0.005, (np.arange(240) + 0.5) * 0.005
     ground = TerrainGrid.of(0.02 * np.sin(5.0 * x[None]) * np.cos(4.0 * y[:, None]), grid_m=0.005)
     plan = plan_scan(ground, PlanSettings((0.0, 0.0, 1.4, 1.2), 0.05, disc(0.1)))
     write_path(tmp_path / "path.csv", plan)
-    assert failed(ground, tmp_path / "path.csv") == set()
+    assert failed(ground, tmp_path / "path.csv") == {"unplanned"}
+    assert (plan.passes[np.isnan(plan.position_m[:, 2])] == -1).all()
 
 
 def test_a_region_beside_a_map_far_from_the_origin_is_refused_with_all_digits():

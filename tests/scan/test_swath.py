@@ -31,7 +31,7 @@ def run(*words):
 
 @pytest.fixture
 def ground(tmp_path):
-    HeightMap.from_heights(np.zeros((120, 140)), origin_m=(0, 0), grid_m=0.01).save(tmp_path / "m.npz")
+    HeightMap.from_heights(np.zeros((320, 340)), origin_m=(-1, -1), grid_m=0.01).save(tmp_path / "m.npz")
     return tmp_path / "m.npz"
 
 
