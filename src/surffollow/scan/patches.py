@@ -62,7 +62,17 @@ class Patches:
         return self.outcome
 
     def having(self, *outcomes: int) -> NDArray[np.bool_]:
-        """(rows, cols) bool: pixels of patches with one of these outcomes."""
+        """Pixels of patches with one of these outcomes.
+
+        Parameters
+        ----------
+        outcomes : int
+            indices into `OUTCOMES`
+
+        Returns
+        -------
+        (rows, cols) bool array
+        """
         if not len(self.outcome):
             return np.zeros(self.labels.shape, np.bool_)
         wanted = np.isin(self.outcome, outcomes)
