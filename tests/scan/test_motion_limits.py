@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import naive_field as naive
+from surffollow.cli.scan_plan import REMEDIES
 from surffollow.errors import ScanInputError
 from surffollow.scan.attitude_angles import normals_of, wrist_angles
 from surffollow.scan.body import disc
@@ -199,3 +200,10 @@ def test_a_plan_that_cannot_keep_a_limit_is_refused_by_name():
     for name, text in (("speed_mps", "m/s speed"), ("acceleration_mps2", "along the path")):
         with pytest.raises(ScanInputError, match=f"{text}.*near .*lower speed"):
             refuse_fast(path, replace(MotionLimits(), **{name: 0.1}))
+
+
+def test_each_refusal_that_a_user_can_mend_has_a_remedy_of_scan_plan(tmp_path):
+    """The other findings are of what the planner itself must do right."""
+    _, ground, file = plan_of(tmp_path)
+    own = {"time", "pose", "height", "clearance_column", "unknown_beneath"}
+    assert findings_of(ground, file).keys() - own == REMEDIES.keys()

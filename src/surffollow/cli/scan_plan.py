@@ -33,7 +33,11 @@ REMEDIES = {
     "reach": "choose a smaller --region or a larger --reach",
     "speed": _SLOWER,
     "climb": _SLOWER,
+    "tilt_rate": _SLOWER,
     "acceleration": _SLOWER,
+    "lateral": _SLOWER,
+    "unplanned": "or map more ground around the region",
+    "swath": "choose a smaller --swath",
     "coverage": "choose a smaller --swath, or a --region on known ground",
 }
 

@@ -18,9 +18,7 @@ from surffollow.scan.triangles import lay_triangles
 from surffollow.units import numbers_text
 
 FILL_CELLS = 10.0  # holes this wide are filled by default
-COVERED_CELLS = (
-    3.0  # longest edge of triangles beneath points above the ground: neighbours measured all round
-)
+COVERED_CELLS = 3.0  # longest edge of triangles beneath points above the ground: measured all round
 MAX_CELLS = 100_000_000
 
 

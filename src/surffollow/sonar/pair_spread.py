@@ -16,9 +16,7 @@ from surffollow.sonar.beam import wrap
 MIN_BASE_M = 1e-12  # nearer points have no direction
 SPREADS = 3  # standard deviations that the noise is followed to: the gate of every comparison
 FAR_APART = 6.0  # standard deviations between two points that keep their direction: twice the spread
-STEEPEST = (
-    2.5  # arc cosine: its turn within three standard deviations is at most 2 times linear; 0.5 of reserve
-)
+STEEPEST = 2.5  # times linear: the turn of an arc cosine within three standard deviations, at most 2; reserve
 BISECTIONS = 20  # halvings of three standard deviations: to 3·10⁻⁶ of one
 
 
