@@ -195,7 +195,7 @@ def test_after_a_jump_of_the_height_the_estimate_begins_anew():
 
 
 def test_a_blocked_sensor_does_not_end_the_climb_over_a_slope_that_rose():
-    """GIVEN ground that rises as before WHEN a blocked sensor is found THEN the tool rises on: 114 mm lost."""
+    """GIVEN ground that rises as before WHEN a blocked sensor is found THEN the tool rises: 114 mm lost."""
     scenario = draw("blocked on a slope", 1740016)
     ours, plain = play(follower(), scenario), play(PLoop(scenario.interval_ms), scenario)
     assert shortfall_m(plain.clearance_m, ours.clearance_m) < 0.05

@@ -135,7 +135,7 @@ def test_one_contradiction_outweighs_three_inliers_as_the_documents_say():
 
 @pytest.mark.parametrize(("fifth_m", "phi_deg"), [(math.nan, 0.0), (math.inf, -7.5)])
 def test_a_silent_sonar_makes_the_walls_that_it_would_see_unlikely(fifth_m, phi_deg):
-    """GIVEN four echoes at one place, which leave 30° WHEN a fifth beam is silent THEN its half is unlikely."""
+    """GIVEN four echoes at one place, which leave 30° WHEN a fifth is silent THEN its half is unlikely."""
     headings = np.radians([0.0, 5.0, -5.0, 2.0, 20.0])
     places = 1e-3 * np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0], [0.5, 0.5]])
     ranges = [1.0, 1.0, 1.0, 1.0, fifth_m]
