@@ -18,6 +18,8 @@ from surffollow.cli.scan import scan_group
 from surffollow.scan import TerrainGrid, parse_body
 from surffollow.scan.check import check_path
 from surffollow.scan.clearance import Clearance
+from surffollow.scan.grid import FILLED
+from surffollow.scan.path import FILLED_BENEATH, UNKNOWN_BENEATH
 from surffollow.scan.path_file import read_path, write_path
 from surffollow.scan.plan import PlanSettings, plan_scan
 from surffollow.sim.surfaces import HeightField
@@ -224,3 +226,39 @@ def test_scan_plan_ends_with_1_where_its_check_refuses_the_path(tmp_path):
     assert "scan check refuses" in done.stderr
     assert "choose a smaller --region" in done.stderr
     assert len(read_path(tmp_path / "path.csv")) > 0
+
+
+@pytest.mark.parametrize("text", ["disc:0.1", "ring:0.12", "rectangle:0.3x0.08"])
+@pytest.mark.parametrize("mark", ["unknown", "filled"])
+def test_ground_that_is_not_known_is_flagged_beneath_the_whole_underside(tmp_path, text, mark):
+    ground = TerrainGrid.of(np.zeros((ROWS, COLS)), grid_m=GRID)
+    holes = np.array([[44, 34], [43, 37]])
+    if mark == "unknown":
+        ground.heights_m[tuple(holes.T)] = np.nan
+    else:
+        ground.cells[tuple(holes.T)] = FILLED
+    gap = 0.011  # a hole lets itself be seen at little more than itself
+    plan = plan_scan(ground, PlanSettings((0.42, 0.42, 0.75, 0.66), gap, parse_body(text)))
+    flagged = plan.has(UNKNOWN_BENEATH if mark == "unknown" else FILLED_BENEATH)
+    centres = np.array(ground.origin_m) + (holes[:, ::-1] + 0.5) * GRID
+    _, on = plate_of(text, GRID)
+    covered = np.zeros(len(plan), bool)
+    for k, (place, q) in enumerate(zip(plan.position_m, plan.quaternion)):
+        # no slope: seen from above the body has its own shape
+        away = np.column_stack([centres - place[:2], np.zeros(len(centres))])
+        seen = away @ Rotation.from_quat(q).as_matrix()
+        covered[k] = on(seen[:, 0], seen[:, 1]).any()
+    assert covered.any()
+    assert not covered.all()
+    assert flagged[covered].all()
+    assert not flagged.all()
+    if mark == "unknown":
+        file = tmp_path / "path.csv"
+        write_path(file, plan)
+        assert all(f.ok for f in check_path(ground.heights_m, ground.origin_m, GRID, file))
+        lines = file.read_text().splitlines()
+        quiet = [x if x[0] in "#t" else ",".join([*x.split(",")[:-1], "0"]) for x in lines]
+        file.write_text("\n".join(quiet) + "\n")
+        found = check_path(ground.heights_m, ground.origin_m, GRID, file)
+        [silent] = [f for f in found if f.name == "unknown_beneath"]
+        assert silent.value >= covered[np.isfinite(plan.position_m[:, 2])].sum()

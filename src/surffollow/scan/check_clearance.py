@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from surffollow.scan.check_file import Array, Facts, Poses
 from surffollow.scan.check_finding import Finding
 from surffollow.scan.check_placement import control_points
-from surffollow.scan.check_underside import underside_distances
+from surffollow.scan.check_underside import underside_distances, unknown_under
 
 GAP_SPARE_M = 1e-6  # digits of the file
 UNKNOWN_BENEATH = 16  # flag of a row
@@ -104,7 +104,7 @@ def is_beside(z: Array, origin: tuple[float, float], g: float, xy: Array) -> NDA
 def check_unknown_ground(
     z: Array, origin: tuple[float, float], g: float, poses: Poses, samples: int, facts: Facts
 ) -> Finding:
-    """Poses with unknown ground within the gap of a control point must carry the flag.
+    """Poses with unknown ground within the gap of the underside, seen from above, must carry the flag.
 
     Parameters
     ----------
@@ -121,7 +121,10 @@ def check_unknown_ground(
     tree = cKDTree(unknown_centres(z, origin, g))
     distance = tree.query(xy.reshape(-1, 2), distance_upper_bound=facts.gap)[0].reshape(xy.shape[:2])
     # within a cell of the limit either answer is right: the flag is taken per cell
-    over = ((distance < facts.gap - 1.5 * g) | is_beside(z, origin, g, xy)).any(axis=1)
+    limit = facts.gap - 1.5 * g
+    over = ((distance < limit) | is_beside(z, origin, g, xy)).any(axis=1)
+    position, turned = poses.position[poses.planned], poses.quaternion[poses.planned]
+    over |= unknown_under(z, origin, g, facts.body, position, turned, limit)
     silent = over & (flags & UNKNOWN_BENEATH == 0)
     of_rows = int(np.count_nonzero(silent[: np.count_nonzero(poses.planned[:samples])]))
     between = int(np.count_nonzero(silent)) - of_rows

@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from surffollow.scan.check_file import Array
@@ -75,6 +76,91 @@ def underside_distances(
     return at, way
 
 
+def unknown_under(
+    z: Array,
+    origin: tuple[float, float],
+    g: float,
+    body: Array,
+    position: Array,
+    quaternion: Array,
+    near: float,
+) -> NDArray[np.bool_]:
+    """(n,) whether the underside has unknown ground straight below it, or nearer than `near` [m] beside that.
+
+    Parameters
+    ----------
+    z, origin, g, body, position, quaternion   as in `underside_distances`
+    near : float [m]
+    """
+    found = np.zeros(len(position), np.bool_)
+    poses = np.column_stack([position, quaternion])
+    place = (np.ascontiguousarray(z, np.float64), float(origin[0]), float(origin[1]), float(g))
+    for plate in plates_of(body):
+        _look_beneath(*place, body, *plate, poses, near, np.empty((3, 3)), found)
+    return found
+
+
+@jit
+def _turn(pose: Any, turned: Any) -> None:
+    """Rotation matrix of a pose (7,)."""
+    qx, qy, qz, qw = pose[3], pose[4], pose[5], pose[6]
+    s = 2.0 / (qx * qx + qy * qy + qz * qz + qw * qw)
+    turned[0, 0], turned[1, 1] = 1.0 - s * (qy * qy + qz * qz), 1.0 - s * (qx * qx + qz * qz)
+    turned[2, 2] = 1.0 - s * (qx * qx + qy * qy)
+    turned[0, 1], turned[1, 0] = s * (qx * qy - qz * qw), s * (qx * qy + qz * qw)
+    turned[0, 2], turned[2, 0] = s * (qx * qz + qy * qw), s * (qx * qz - qy * qw)
+    turned[1, 2], turned[2, 1] = s * (qy * qz - qx * qw), s * (qy * qz + qx * qw)
+
+
+@jit
+def _window(z: Any, x0: Any, y0: Any, g: Any, x: Any, y: Any, reach: Any) -> Any:
+    """Rows from … to and columns from … to of cells within `reach` of a place; from = to: none."""
+    rows, cols = z.shape
+    left, right = max(0.0, (x - reach - x0) / g - 1.0), min(cols, (x + reach - x0) / g + 1.0)
+    top, bottom = max(0.0, (y - reach - y0) / g - 1.0), min(rows, (y + reach - y0) / g + 1.0)
+    if not (left < right and top < bottom):
+        return 0, 0, 0, 0
+    return int(top), math.ceil(bottom), int(left), math.ceil(right)
+
+
+@jit
+def _look_beneath(
+    z: Any,
+    x0: Any,
+    y0: Any,
+    g: Any,
+    body: Any,
+    edges: Any,
+    planes: Any,
+    radius: Any,
+    level: Any,
+    poses: Any,
+    near: Any,
+    turned: Any,
+    found: Any,
+) -> None:
+    """`unknown_under` of one plate at poses (n, 7), into found (n,)."""
+    reach = max(near, 0.0)
+    for k in range(body.shape[0]):
+        reach = max(reach, max(near, 0.0) + math.sqrt(body[k, 0] ** 2 + body[k, 1] ** 2 + body[k, 2] ** 2))
+    for k in range(poses.shape[0]):
+        _turn(poses[k], turned)
+        if not turned[2, 2] > 0.0:
+            continue
+        top, bottom, left, right = _window(z, x0, y0, g, poses[k, 0], poses[k, 1], reach)
+        for i in range(top, bottom):
+            for j in range(left, right):
+                if math.isfinite(z[i, j]) or found[k]:
+                    continue
+                dx, dy = x0 + (j + 0.5) * g - poses[k, 0], y0 + (i + 0.5) * g - poses[k, 1]
+                # the height at which the plane of the plate passes the cell's centre
+                dz = (level - turned[0, 2] * dx - turned[1, 2] * dy) / turned[2, 2]
+                a = turned[0, 0] * dx + turned[1, 0] * dy + turned[2, 0] * dz
+                b = turned[0, 1] * dx + turned[1, 1] * dy + turned[2, 1] * dz
+                away = _beside(edges, planes, radius, a, b)
+                found[k] = away == 0.0 or away < near
+
+
 @jit
 def _look(
     z: Any,
@@ -113,13 +199,7 @@ def _distance(
     z: Any, x0: Any, y0: Any, g: Any, body: Any, shape: Any, pose: Any, turned: Any, most: Any
 ) -> float:
     edges, planes, radius, level = shape
-    qx, qy, qz, qw = pose[3], pose[4], pose[5], pose[6]
-    s = 2.0 / (qx * qx + qy * qy + qz * qz + qw * qw)
-    turned[0, 0], turned[1, 1] = 1.0 - s * (qy * qy + qz * qz), 1.0 - s * (qx * qx + qz * qz)
-    turned[2, 2] = 1.0 - s * (qx * qx + qy * qy)
-    turned[0, 1], turned[1, 0] = s * (qx * qy - qz * qw), s * (qx * qy + qz * qw)
-    turned[0, 2], turned[2, 0] = s * (qx * qz + qy * qw), s * (qx * qz - qy * qw)
-    turned[1, 2], turned[2, 1] = s * (qy * qz - qx * qw), s * (qy * qz + qx * qw)
+    _turn(pose, turned)
     rows, cols = z.shape
     reach, below = 0.0, False
     for k in range(body.shape[0]):
@@ -136,12 +216,9 @@ def _distance(
             below = below or pz < z[min(int(v), rows - 1), min(int(u), cols - 1)]
     reach += max(most, 0.0)
     best = most
-    left, right = max(0.0, (pose[0] - reach - x0) / g - 1.0), min(cols, (pose[0] + reach - x0) / g + 1.0)
-    top, bottom = max(0.0, (pose[1] - reach - y0) / g - 1.0), min(rows, (pose[1] + reach - y0) / g + 1.0)
-    if not (left < right and top < bottom):
-        return best  # type: ignore[no-any-return]
-    for i in range(int(top), math.ceil(bottom)):
-        for j in range(int(left), math.ceil(right)):
+    top, bottom, left, right = _window(z, x0, y0, g, pose[0], pose[1], reach)
+    for i in range(top, bottom):
+        for j in range(left, right):
             dx, dy = x0 + (j + 0.5) * g - pose[0], y0 + (i + 0.5) * g - pose[1]
             dz = z[i, j] - pose[2]
             c = turned[0, 2] * dx + turned[1, 2] * dy + turned[2, 2] * dz - level

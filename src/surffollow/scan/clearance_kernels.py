@@ -25,8 +25,22 @@ def tile_tops(z: Any, tops: Any) -> None:
 
 
 @jit
-def _box(z: Any, g: Any, corners: Any, wide_m: Any, axes: Any, u: Any, v: Any) -> Any:
-    """First and last row, first and last column of the cells within `wide_m` beside a polygon."""
+def box_of(z: Any, g: Any, corners: Any, wide_m: Any, axes: Any, u: Any, v: Any) -> Any:
+    """First and last row, first and last column of the cells within `wide_m` beside a polygon.
+
+    Parameters
+    ----------
+    z : (rows, cols)             cells; only the shape is read
+    g : float [m]                side of a cell
+    corners : (k, 2) float64 [m] of the polygon
+    wide_m : float [m]
+    axes : (3, 3) float64        of the body
+    u, v : float                 column and row of the polygon's middle
+
+    Returns
+    -------
+    4 × int   first and last row, first and last column; the last before the first: none
+    """
     x0, x1, y0, y1 = math.inf, -math.inf, math.inf, -math.inf
     for k in range(corners.shape[0]):
         x = axes[0, 0] * corners[k, 0] + axes[0, 1] * corners[k, 1]
@@ -72,7 +86,7 @@ def lift_of_pose(
     need = least
     u, v = p[0] + level * axes[0, 2] / g, p[1] + level * axes[1, 2] / g
     height = p[2] + level * nz
-    y0, y1, x0, x1 = _box(z, g, corners, round_m + gap, axes, u, v)
+    y0, y1, x0, x1 = box_of(z, g, corners, round_m + gap, axes, u, v)
     if y1 < y0 or x1 < x0:
         return need  # type: ignore[no-any-return]
     for i in range(y0 // TILE, y1 // TILE + 1):
@@ -174,7 +188,7 @@ def distance_of_pose(
         y, x = math.floor(v + 0.5), math.floor(u + 0.5)
         if math.isfinite(z[y, x]):
             best = distance_of_cell(corners, round_m, axes, (x - u) * g, (y - v) * g, z[y, x] - height, best)
-    y0, y1, x0, x1 = _box(z, g, corners, round_m + max(best, 0.0), axes, u, v)
+    y0, y1, x0, x1 = box_of(z, g, corners, round_m + max(best, 0.0), axes, u, v)
     if y1 < y0 or x1 < x0:
         return best  # type: ignore[no-any-return]
     for i in range(y0 // TILE, y1 // TILE + 1):

@@ -13,6 +13,7 @@ from surffollow.scan.attitude_angles import body_axes, normals_of, wrist_angles
 from surffollow.scan.attitude_kernels import MAX_POINTS, settle_path
 from surffollow.scan.bands import in_bands
 from surffollow.scan.body import body_points
+from surffollow.scan.cells_beneath import any_beneath
 from surffollow.scan.checks import Floats, positive
 from surffollow.scan.envelope import Envelope
 from surffollow.scan.grid import FILLED, TerrainGrid
@@ -221,9 +222,10 @@ def _follow(
 def _flag_beneath(
     path: ScanPath, body: Floats, grid: TerrainGrid, flag: int, cells: NDArray[np.bool_], *, outside: bool
 ) -> ScanPath:
-    """The path with a flag also where one of these cells, or what is outside, is beneath a control point."""
-    axes = body_axes(path.normal, path.azimuth_rad)
-    found = path.has(flag)
+    """The path with a flag also where the body covers one of these cells, or has a point outside."""
+    axes, at = body_axes(path.normal, path.azimuth_rad), path.position_m.copy()
+    at[:, :2] = _cells(at, grid)
+    found = path.has(flag) | any_beneath(cells, grid.grid_m, body, at, path.quaternion)
     for point in body:
         found |= _at(cells, _cells(path.position_m + axes @ point, grid), outside=outside)
     return path.with_flag(flag, found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.sonar.beam import predicted_range, sensitivity, wrap
 from surffollow.sonar.pair import COV, DISTANCE, N_SIGMA, PHI, VAR_DISTANCE, VAR_PHI
 
@@ -13,7 +13,7 @@ EXACT_M = 1e-9  # tolerance of ranges without noise
 UNEXPLAINED, INLIER, CONTRADICTION = 0, 1, -1
 
 
-@jit
+@jit_uncounted
 def compare_reading(readings: Any, i: Any, wall: Any, nx: Any, ny: Any, exactly: Any) -> Any:
     """How reading i stands to a wall.
 
@@ -76,7 +76,7 @@ def compare_reading(readings: Any, i: Any, wall: Any, nx: Any, ny: Any, exactly:
     return CONTRADICTION
 
 
-@jit
+@jit_uncounted
 def count_agreement(readings: Any, wall: Any, free: Any, verdicts: Any, exactly: Any = False) -> Any:
     """Inliers among the free readings and contradictions among all.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.sonar.beam import wrap
 
 MIN_BASE_M = 1e-12  # nearer points have no direction
@@ -20,7 +20,7 @@ STEEPEST = 2.5  # times linear: the turn of an arc cosine within three standard 
 BISECTIONS = 20  # halvings of three standard deviations: to 3·10⁻⁶ of one
 
 
-@jit
+@jit_uncounted
 def measured_points(readings: Any, i: Any, j: Any, si: Any, sj: Any, ri: Any, rj: Any) -> Any:
     """The points that two ranges are measured from, for given states of both beams.
 
@@ -48,14 +48,14 @@ def measured_points(readings: Any, i: Any, j: Any, si: Any, sj: Any, ri: Any, rj
     return ax - bx, ay - by, ax + bx, ay + by, hi, hj
 
 
-@jit
+@jit_uncounted
 def is_solvable(points: Any) -> Any:
     """Whether some wall has these heights over two points."""
     base = math.hypot(points[0], points[1])
     return base >= MIN_BASE_M and abs(points[5] - points[4]) <= base
 
 
-@jit
+@jit_uncounted
 def wall_through(points: Any, sign: Any) -> Any:
     """The wall with given heights over two points: n·a + hᵢ = n·b + hⱼ = d.
 
@@ -77,7 +77,7 @@ def wall_through(points: Any, sign: Any) -> Any:
     return phi, 0.5 * (hi + hj + math.cos(phi) * sum_x + math.sin(phi) * sum_y)
 
 
-@jit
+@jit_uncounted
 def turning_errors(readings: Any, i: Any, j: Any, si: Any, sj: Any, phi_rad: Any) -> Any:
     """Errors of both ranges, one standard deviation together, that turn the wall.
 
@@ -104,7 +104,7 @@ def turning_errors(readings: Any, i: Any, j: Any, si: Any, sj: Any, phi_rad: Any
     return error_i, error_j, abs(c_i * sigma_i * c_j * sigma_j) / noise
 
 
-@jit
+@jit_uncounted
 def ranges_of_tangent(readings: Any, i: Any, j: Any, si: Any, sj: Any, phi_rad: Any) -> Any:
     """The nearest ranges with a wall, where noise left a pair without one: there two solutions merge.
 
@@ -136,7 +136,7 @@ def ranges_of_tangent(readings: Any, i: Any, j: Any, si: Any, sj: Any, phi_rad: 
     return math.nan, math.nan
 
 
-@jit
+@jit_uncounted
 def _moved(readings: Any, pair: Any, wall: Any, ri: Any, rj: Any) -> Any:
     """Change of φ [rad] and d [m] of a pair's wall with its ranges; a range stays positive."""
     i, j, si, sj, sign = pair
@@ -147,7 +147,7 @@ def _moved(readings: Any, pair: Any, wall: Any, ri: Any, rj: Any) -> Any:
     return wrap(phi - wall[0]), distance - wall[1]
 
 
-@jit
+@jit_uncounted
 def greatest_std(readings: Any, pair: Any, points: Any, phi_rad: Any) -> Any:
     """Standard deviation [rad] of φ, or more; π where the noise moves the points too far to say.
 
@@ -169,7 +169,7 @@ def greatest_std(readings: Any, pair: Any, points: Any, phi_rad: Any) -> Any:
     return STEEPEST * noise / slope if STEEPEST * noise < math.pi * slope else math.pi
 
 
-@jit
+@jit_uncounted
 def pair_covariance(readings: Any, pair: Any, wall: Any, ri: Any, rj: Any) -> Any:
     """Covariance of (φ, d) from two readings; (AᵀWA)⁻¹ where the solution is linear within the noise.
 

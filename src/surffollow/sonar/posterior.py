@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.shm.jit import jit, jit_inlined
+from surffollow.shm.jit import jit_uncounted
 from surffollow.sonar.agreement import INLIER
 from surffollow.sonar.beam import MIN_COS_EDGE, edge_angle, expected_range, reading_sensitivity, wrap
 from surffollow.sonar.pair import COV, DISTANCE, N_SIGMA, PHI, VAR_DISTANCE, VAR_PHI
@@ -24,43 +24,33 @@ NARROW = 0.1  # standard deviation over the support's width below which the like
 MAX_ITERATIONS = 50
 
 
-@jit_inlined
-def _distance_reported(readings: Any, i: Any, phi_rad: Any, nx: Any, ny: Any) -> Any:
-    """Distance [m] of a wall with normal φ that gives reading i, and the cosine of its edge angle."""
-    cos_edge = math.cos(edge_angle(wrap(phi_rad - readings.headings_rad[i]), readings.half_beam_rad))
-    x, y = readings.positions_m[i, 0], readings.positions_m[i, 1]
-    return readings.ranges_m[i] * cos_edge + nx * x + ny * y, cos_edge
-
-
-@jit
+@jit_uncounted
 def _profile(readings: Any, verdicts: Any, phi_rad: Any) -> Any:
     """Best distance for one φ, its information, half the chi-square left, and whether φ is possible.
 
     A wall is possible that lies in front of every sonar that answered it.
     """
     nx, ny = math.cos(phi_rad), math.sin(phi_rad)
-    total = moment = 0.0
+    total = distance = half_chi = 0.0
+    farthest = -math.inf  # of the sonars, along the normal
     for i in range(readings.ranges_m.size):
         if verdicts[i] != INLIER:
             continue
-        reported_m, cos_edge = _distance_reported(readings, i, phi_rad, nx, ny)
+        cos_edge = math.cos(edge_angle(wrap(phi_rad - readings.headings_rad[i]), readings.half_beam_rad))
         if cos_edge < MIN_COS_EDGE:
             return 0.0, 0.0, 0.0, False
+        place = nx * readings.positions_m[i, 0] + ny * readings.positions_m[i, 1]
         weight = 1.0 / (readings.sigmas_m[i] * cos_edge) ** 2
+        # the weighted mean and the squares about it in one pass (West)
+        off_m = readings.ranges_m[i] * cos_edge + place - distance
+        half_chi += 0.5 * off_m * off_m * weight * total / (total + weight)
         total += weight
-        moment += weight * reported_m
-    distance = moment / total
-    half_chi, in_front = 0.0, True
-    for i in range(readings.ranges_m.size):
-        if verdicts[i] != INLIER:
-            continue
-        reported_m, cos_edge = _distance_reported(readings, i, phi_rad, nx, ny)
-        half_chi += 0.5 * ((reported_m - distance) / (readings.sigmas_m[i] * cos_edge)) ** 2
-        in_front = in_front and distance > reported_m - readings.ranges_m[i] * cos_edge
-    return distance, total, half_chi, in_front
+        distance += off_m * weight / total
+        farthest = max(farthest, place)
+    return distance, total, half_chi, distance > farthest
 
 
-@jit
+@jit_uncounted
 def count_contradictions(readings: Any, verdicts: Any, phi_rad: Any, distance_m: Any, most: Any) -> Any:
     """How many silent or farther sonars would have answered this wall.
 
@@ -88,7 +78,7 @@ def count_contradictions(readings: Any, verdicts: Any, phi_rad: Any, distance_m:
     return n
 
 
-@jit
+@jit_uncounted
 def beam_interval(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any) -> Any:
     """Normals [rad] within `reach_rad` of `near_rad` that all inliers can answer.
 
@@ -112,7 +102,7 @@ def beam_interval(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any) -
     return near_rad + low, high - low
 
 
-@jit
+@jit_uncounted
 def fuse(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any, points: Any, wall: Any) -> Any:
     """Posterior mean and covariance of one wall from its inliers, bounded by all other readings.
 
@@ -198,7 +188,7 @@ def fuse(readings: Any, verdicts: Any, near_rad: Any, reach_rad: Any, points: An
     return True
 
 
-@jit
+@jit_uncounted
 def least_squares(readings: Any, verdicts: Any, wall: Any) -> Any:
     """Refine a wall by Gauss-Newton steps on d − n·p − r·cos e, weighted by 1/(σ cos e)².
 
