@@ -86,7 +86,7 @@ def test_the_only_sensor_leads_and_is_blocked_over_rising_ground(seed):
 @pytest.mark.parametrize(
     ("family", "seed"),
     [("one of three blocked", seed) for seed in (1520000, 1520004, 1520005, 1520029)]
-    + [("one of four blocked", 1520020)],
+    + [("one of four blocked", seed) for seed in (1520020, 1800026, 1820005)],
 )
 def test_a_blocked_beam_of_a_ring_does_not_turn_the_tool_on_and_on(family, seed):
     """GIVEN a beam of three or four that is blocked THEN the ring turns by less than 20 degrees.

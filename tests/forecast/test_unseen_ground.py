@@ -42,14 +42,14 @@ def test_what_the_tool_climbs_is_not_lost(climb_m):
     a = sensor_in(RESPONSE_LIFT)
     a["setpoint"]["position_m"] += climb_m
     risen_m = SLOPE_BEFORE * SPEED_MPS * SAMPLES * INTERVAL_S
-    assert uncertain_clearance(a, False) == pytest.approx(risen_m - climb_m)
+    assert uncertain_clearance(a, False, False) == pytest.approx(risen_m - climb_m)
 
 
 def test_without_a_test_and_under_a_slow_sensor_nothing_is_uncertain():
-    assert uncertain_clearance(sensor_in(RESPONSE_RUN), False) == 0.0
+    assert uncertain_clearance(sensor_in(RESPONSE_RUN), False, False) == 0.0
     slow = sensor_in(RESPONSE_FAILED)
     slow["prediction"]["interval_s"] = 0.03
-    assert uncertain_clearance(slow, False) == 0.0
+    assert uncertain_clearance(slow, False, False) == 0.0
 
 
 def test_silence_while_the_setpoint_is_shifted_counts_since_the_run_began():
@@ -58,7 +58,7 @@ def test_silence_while_the_setpoint_is_shifted_counts_since_the_run_began():
     a["response"]["lift_m"], a["setpoint"]["position_m"] = 1e-3, 0.05
     a["blend"]["tracked_m"] = 0.05
     risen_m = SLOPE_RMS * SPEED_MPS * SAMPLES * INTERVAL_S
-    assert uncertain_clearance(a, True) == pytest.approx(0.05 + risen_m)
+    assert uncertain_clearance(a, True, False) == pytest.approx(0.05 + risen_m)
 
 
 @pytest.mark.parametrize("interval_s", [INTERVAL_S, 0.03], ids=["quick", "slow"])
@@ -66,7 +66,7 @@ def test_in_silence_the_ground_may_have_risen_since_the_newest_sample(interval_s
     a = sensor_in(RESPONSE_RUN)
     a["prediction"]["interval_s"], a["blend"]["tracked_m"] = interval_s, 0.11
     a["clock"]["now_ns"], a["hold"]["t_ns"] = 5 * 10**9, 4 * 10**9
-    assert uncertain_clearance(a, True) == pytest.approx(0.01 + SLOPE_RMS * SPEED_MPS)
+    assert uncertain_clearance(a, True, False) == pytest.approx(0.01 + SLOPE_RMS * SPEED_MPS)
 
 
 def test_silence_in_a_test_leaves_all_since_the_run_uncertain_under_a_slow_sensor_too():
@@ -76,7 +76,7 @@ def test_silence_in_a_test_leaves_all_since_the_run_uncertain_under_a_slow_senso
     a["run"]["top_z_m"], a["run"]["samples"] = 0.15, 20
     a["clock"]["now_ns"], a["hold"]["t_ns"] = 5 * 10**9, 4 * 10**9
     risen_m = SLOPE_BEFORE * SPEED_MPS * (1.0 + 20 * 0.03)
-    assert uncertain_clearance(a, True) == pytest.approx(0.05 + risen_m)
+    assert uncertain_clearance(a, True, False) == pytest.approx(0.05 + risen_m)
 
 
 def test_an_edge_of_known_ground_is_no_rate_that_an_axis_follows():

@@ -2,7 +2,7 @@
 
 Each beam gives a height under the tool by way of the known slopes. A beam that deviates from the median of
 these heights by more than the gate is excluded. After some samples it is accepted again (the ground has
-turned), unless three others agree on a plane. One of three may be blocked (`blocked_beam`). Without a
+turned), unless three others agree on a plane. One of three or four may be blocked (`blocked_beam`). Without a
 majority the beams that see the nearest ground count.
 """
 

@@ -1,7 +1,8 @@
-"""A beam of three that is blocked: its range stays while the tool's motion changes those of both others.
+"""A beam of three or four that is blocked: its range stays while the tool's motion changes the others.
 
-The ground seems to move with the sensor. Over ground that is followed well, all ranges stay. More than three
-beams are isolated by the plane on which they lie (`beam_detection`).
+The ground seems to move with the sensor. Over ground that is followed well, all ranges stay. Of four beams
+the three others give a plane, on which a blocked one may lie by chance as the tool turns. More beams are
+isolated by the plane on which they lie (`beam_detection`).
 """
 
 import math
@@ -19,7 +20,7 @@ from surffollow.forecast.sensing.mean_range import (
 )
 from surffollow.shm.jit import jit
 
-CHANGES = 6  # of both others by turns in a second: no chance; a range that jumped needs half of them
+CHANGES = 6  # of others by turns in a second: no chance; a range that jumped needs half of them
 
 
 @jit
@@ -73,14 +74,14 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
 
 @jit
 def is_blocked(params, adaptive, c):
-    """Whether the range of one of three beams has stayed while its sensor moved and both others changed."""
+    """Whether the range of one of three or four beams stayed while its sensor moved and others changed."""
     beams, runs, n = adaptive.beams, adaptive.beam_runs, 0
     for k in range(params.n_channels):
         late_ns = lateness_ns(beams, c) + lateness_ns(beams, k)
         n += 1 if is_recent(beams, k, beams.t_ns[c], late_ns) else 0
     least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
     changes = runs.changes - runs.changes_before[c]
-    return n == 3 and changes >= CHANGES and runs.motion_m[c] > least_m
+    return 3 <= n <= 4 and changes >= CHANGES and runs.motion_m[c] > least_m
 
 
 @jit

@@ -15,8 +15,8 @@ from surffollow.shm.jit import jit
 def plane_height(params, adaptive, t_ns, pose):
     """Height under the tool from all accepted beams, and their number; 0 when there are none.
 
-    The height is that of the plane that touches the ground where the tool's axis meets it. A beam of three
-    that is found blocked has tilted the plane: it begins anew, perpendicular to the tool.
+    The height is that of the plane that touches the ground where the tool's axis meets it. A beam that is
+    found blocked has tilted the plane: it begins anew, perpendicular to the tool.
 
     Parameters
     ----------

@@ -30,16 +30,28 @@ def is_dropout(adaptive):
 
 
 @jit
-def is_stuck(adaptive):
-    """Whether the range did not respond to a test, or repeats itself for as long as a drop-out lasts."""
-    repeats = adaptive.repeats.unused != 0 and missing_s(adaptive, adaptive.estimate.accepted_ns) > 0.0
-    return repeats or is_unresponsive(adaptive.response)
+def repeats_itself(adaptive):
+    """Whether the range repeats itself for as long as a drop-out lasts."""
+    return adaptive.repeats.unused != 0 and missing_s(adaptive, adaptive.estimate.accepted_ns) > 0.0
 
 
 @jit
-def is_uncertain(params, adaptive, silent):
-    """Whether so great a share of the stand-off may be lost unseen that no demand is valid."""
-    return uncertain_clearance(adaptive, silent) > 0.35 * params.offset_m
+def is_stuck(adaptive):
+    """Whether the range did not respond to a test, or repeats itself."""
+    return repeats_itself(adaptive) or is_unresponsive(adaptive.response)
+
+
+@jit
+def update_unseen(params, adaptive, stuck):
+    """Note whether so great a share of the stand-off may be lost unseen that no demand is valid.
+
+    That lasts until the sensor shows the ground again, also when the tool stops.
+    """
+    health, silent = adaptive.health, is_dropout(adaptive)
+    if not silent and not stuck:
+        health.unseen = 0
+    elif uncertain_clearance(adaptive, silent, repeats_itself(adaptive)) > 0.35 * params.offset_m:
+        health.unseen = 1
 
 
 @jit
@@ -48,12 +60,12 @@ def is_lost(params, adaptive):
 
     An estimate of a single sample is not confirmed, and none is in a frame that is wrong. A sensor whose
     range did not respond, and that falls silent, has nothing to continue from. Before that, ground that it
-    did not see may have come near; in silence it stays so, also when the tool stops.
+    did not see may have come near.
     """
-    health, estimate, silent = adaptive.health, adaptive.estimate, is_dropout(adaptive)
+    health, estimate = adaptive.health, adaptive.estimate
     if health.upward != 0 or health.unseen != 0 or is_reversed(adaptive.frame) or estimate.samples == 0:
         return True
-    if is_unresponsive(adaptive.response) and (silent or is_uncertain(params, adaptive, silent)):
+    if is_unresponsive(adaptive.response) and is_dropout(adaptive):
         return True
     # frames that jump more often than samples arrive: the tool would hold its height for ever
     held = adaptive.clock.now_ns - estimate.in_frame_ns > 2 * params.loss_timeout_ns
@@ -176,11 +188,9 @@ def update_health(params, adaptive, sense, close):
     bool, bool  the range does not respond or repeats itself; there is no demand without other samples
     """
     health, now_ns = adaptive.health, adaptive.clock.now_ns
-    if not is_dropout(adaptive):
-        health.unseen = 0
-    elif is_uncertain(params, adaptive, True):
-        health.unseen = 1
-    stuck, lost = is_stuck(adaptive), is_lost(params, adaptive)
+    stuck = is_stuck(adaptive)
+    update_unseen(params, adaptive, stuck)
+    lost = is_lost(params, adaptive)
     count_outside(health, sense)
     silent = observe_channels(params, health, sense, now_ns)
     left_out, old = beams_left_out(params, adaptive)

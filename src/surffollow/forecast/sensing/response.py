@@ -159,7 +159,8 @@ def _update_test(params, adaptive, tool_z_m):
     """Go from a hold to a lift, and end one without response: the sensor is stuck, if the tool obeyed.
 
     It obeyed a lift from a descent when it and its setpoint have risen by what an answer needs, one from an
-    ascent when the setpoint is ahead by little more than before, or it stands at its ceiling. Otherwise the
+    ascent when the setpoint is ahead by little more than before, or it stands at its ceiling. A tool that
+    stands there is awaited for the time of a climb at the rate of the run, and of an answer. Otherwise the
     ground rises, another controller leads the tool, or its axis cannot climb faster, and a new run begins in
     the end, unless the range is repeated.
 
@@ -179,18 +180,21 @@ def _update_test(params, adaptive, tool_z_m):
     response.missing_m += (missing_m - response.missing_m) / number
     longest_s = ANSWER_TAUS * adaptive.plant.tau_s
     late_s = (response.t_ns - response.test_ns) * 1e-9 - answer_s(adaptive, MIN_MEANS)
+    # by what is left a good sensor would have answered
+    allowed_m = OBEYED * response.lift_m if rises else response.lift_m - _answer_m(adaptive)
+    below_m, rate_mps = response.ceiling_z_m - tool_z_m, adaptive.run.rate_mps
+    # one that another controller leads climbs farther
+    stands = rises and abs(below_m) < allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * rate_mps
+    if stands:  # there the range of a good sensor shortens as the ground rises
+        climb_m = response.ceiling_z_m - response.test_z_m + _answer_m(adaptive)
+        longest_s = min(longest_s, climb_m / rate_mps - answer_s(adaptive, MIN_MEANS))
     if late_s <= (longest_s if rises else 0.0):
         return
     if response.phase == layout.RESPONSE_HOLD:
         lift_m = max(MOTION_BANDS * mean_range.range_band_m(adaptive), SWINGS[1] * response.swing_m)
         _begin_lift(params, adaptive, tool_z_m, lift_m)
         return
-    # by what is left a good sensor would have answered
-    allowed_m = OBEYED * response.lift_m if rises else response.lift_m - _answer_m(adaptive)
-    below_m = response.ceiling_z_m - tool_z_m
-    obeyed = response.missing_m < allowed_m
-    if rises and below_m < allowed_m:  # one that another controller leads climbs farther
-        obeyed = below_m > -allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * adaptive.run.rate_mps
+    obeyed = stands if rises and below_m < allowed_m else response.missing_m < allowed_m
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE
     if is_repeated(adaptive.repeats) or (applied and obeyed):
         response.phase, response.test_ns = layout.RESPONSE_FAILED, response.t_ns

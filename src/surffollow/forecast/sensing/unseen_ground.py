@@ -23,24 +23,27 @@ def rise_rate(adaptive):
 
 
 @jit
-def uncertain_clearance(adaptive, silent):
+def uncertain_clearance(adaptive, silent, repeats):
     """Clearance that may be lost unseen [m].
 
     In a test of the response it is that since the run of ranges began which the test is about: all ranges
     since then are uncertain, and the tool has moved. A test of a slow sensor may fail by chance, since the
     ground changes while an answer is awaited: it counts when the sensor falls silent in it. In silence
-    without a test it is that since the newest sample.
+    without a test it is that since the newest sample, and under a range that repeats itself that since the
+    newest sample that entered the estimate.
 
     Parameters
     ----------
     adaptive : record of `AdaptiveState`
-    silent : bool  samples are missing
+    silent : bool   samples are missing
+    repeats : bool  the range repeats itself
     """
     response, run, setpoint = adaptive.response, adaptive.run, adaptive.setpoint
     tested = moves_tool(response) and (silent or not is_slow(adaptive))
-    if not tested and not silent:
+    if not tested and not silent and not repeats:
         return 0.0
-    begin_m, unseen_s = adaptive.blend.tracked_m, (adaptive.clock.now_ns - adaptive.hold.t_ns) * 1e-9
+    seen_ns = adaptive.estimate.accepted_ns if repeats and not tested else adaptive.hold.t_ns
+    begin_m, unseen_s = adaptive.blend.tracked_m, (adaptive.clock.now_ns - seen_ns) * 1e-9
     if tested:
         unseen_s += run.samples * adaptive.prediction.interval_s
         begin_m = run.low_z_m if response.rises != 0 else run.top_z_m

@@ -5,7 +5,7 @@ import math
 from surffollow.forecast import elementary, quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
 from surffollow.forecast.estimation.pending_samples import nearer_wait
-from surffollow.forecast.plant import controller_clock, shadow_axes
+from surffollow.forecast.plant import axis_model, controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
 from surffollow.forecast.sensing.health import missing_s
 from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest, path_speed
@@ -167,6 +167,26 @@ def filter_setpoint(params, adaptive, target_m):
     return blend.filtered_m
 
 
+@jit
+def braking_setpoint(params, adaptive, target_m, tool_z_m, age_s):
+    """The setpoint, or the lowest one above it from which an axis stops there that only lags [m].
+
+    Such an axis does not brake by itself (`axis_model.axis_velocity`), and would pass its setpoint.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState`
+    target_m : float64  the setpoint [m]
+    tool_z_m : float64  height of the tool in the newest pose reported [m]
+    age_s : float64     of that pose when the demand acts [s]
+    """
+    tau_s, a_max = adaptive.plant.tau_s, params.plant_a_max_mps2
+    z_m = tool_z_m + adaptive.kinematics.climb_mps * age_s
+    if z_m - target_m <= a_max * tau_s * tau_s:
+        return target_m
+    return z_m - tau_s * axis_model.axis_velocity(z_m - target_m, tau_s, a_max)
+
+
 @jit_inlined
 def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, stuck):
     """Setpoint within the range that is permitted [m].
@@ -193,5 +213,7 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     if stuck:  # ground that is not seen may rise as steeply as it did before
         rise_m = unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s)
         target_m = max(target_m, tool_z_m + rise_m)
+    if adaptive.preview.share == 0.0 or adaptive.setpoint.approaching != 0:  # a plan brakes by itself
+        target_m = braking_setpoint(params, adaptive, target_m, tool_z_m, age_s)
     tested = min(max(target_m, lowest), highest)
     return max(tested, no_descent, innovation_gate.withheld_setpoint(adaptive, standoff_m))
