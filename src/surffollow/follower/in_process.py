@@ -179,8 +179,8 @@ class Follower:
         t_ns : int
             when the pose was true, a whole number of ns; reports may arrive late
         pose : 7 numbers
-            measured, not commanded (docs/explanation/frames.md#measured-not-commanded): x y z [m], unit
-            quaternion qx qy qz qw, world from tool; z of the world is up, a beam leaves along -z of its sensor
+            measured, not commanded (docs/explanation/frames.md#measured-not-commanded): x y z [m],
+            qx qy qz qw (unit), world from tool; z of the world is up, a beam leaves along -z of its sensor
 
         Returns
         -------
