@@ -124,7 +124,7 @@ def test_a_process_without_memory_or_threads_says_so_in_one_line(error, monkeypa
 @pytest.mark.parametrize("limit_kb", [250_000, 300_000, 400_000, 500_000, 600_000, 680_000])
 @pytest.mark.parametrize("command", ["start", "demo"])
 def test_a_service_with_too_little_address_space_says_so_at_once(command: str, limit_kb: int) -> None:
-    """GIVEN a limit below which OpenBLAS spins or ends the process WHEN a service starts THEN one line says why."""
+    """GIVEN a limit below which OpenBLAS spins or ends the process WHEN it starts THEN a line says why."""
     words = [sys.executable, "-m", "surffollow", command]
     limit = f'ulimit -v {limit_kb}; exec "$@"'
     done = subprocess.run(["sh", "-c", limit, "sh", *words], capture_output=True, text=True, timeout=60)

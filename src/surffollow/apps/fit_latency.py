@@ -74,9 +74,9 @@ def fit_latency(
     row_s = max(float(np.median(np.diff(t_s))), float(np.median(np.diff(at))))
     if fits_alike(lead_cost) < cost and -negative_s > row_s:  # a lead within the time between rows is none
         raise ConfigError(
-            f"the distances lead the heights by {-1e3 * negative_s:.1f} ms, but a distance cannot come before "
-            "the height that it belongs to: the timestamps of the heights are too late, or those of the "
-            "distances too early; give both the time of their measurement by one clock"
+            f"the distances lead the heights by {-1e3 * negative_s:.1f} ms, which cannot be: the timestamps "
+            "of the heights are too late, or those of the distances too early; give both the time of their "
+            "measurement by one clock"
         )
     others = [x for c, x in minima(1.0) if c <= as_good and abs(x - latency_s) > LONGEST_S / 50]
     if others:

@@ -86,12 +86,12 @@ def range_command(
         check_figure(plot)
     scale = unit_scale(unit, "m")
     if pairs is not None:
-        indicated, true = map(np.asarray, read_numbers(pairs, ("indicated", "true")))
+        indicated, true = read_numbers(pairs, ("indicated", "true"))
         if indicated_unit is not None:
             indicated = unit_scale(indicated_unit, "m") * indicated
     else:
-        indicated, true = typed_pairs(str(name), channel, seconds, unit)
-    indicated, true_m = np.asarray(indicated), scale * np.asarray(true)
+        indicated, true = map(np.array, typed_pairs(str(name), channel, seconds, unit))
+    true_m = scale * true
     fit = fit_range(indicated, true_m, channel)
     notes = unit_notes(fit.table)
     about = {

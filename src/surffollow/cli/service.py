@@ -31,8 +31,8 @@ def check_address_space() -> None:
         return
     if limit < LEAST_ADDRESS_SPACE:
         raise FaultError(
-            f"the address space of this process is limited to {limit // 1000000} MB; a service needs 1 GB: raise "
-            "the limit (ulimit -v, LimitAS=)"
+            f"the address space of this process is limited to {limit // 1000000} MB; a service needs 1 GB: "
+            "raise the limit (ulimit -v, LimitAS=)"
         )
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

@@ -46,7 +46,8 @@ class StandingClock:
             self._poses += 1
             if self._poses >= CLOSE_POSES:
                 raise PoseError(
-                    f"the last {CLOSE_POSES} poses changed, but all have the time {t_ns - SHIFT_NS} ns; {_REMEDY}"
+                    f"the last {CLOSE_POSES} poses changed, but all have the time {t_ns - SHIFT_NS} ns; "
+                    f"{_REMEDY}"
                 )
 
     def check_step(self, t_ns: int, ranges_m: Sequence[float]) -> None:

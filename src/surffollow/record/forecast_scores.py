@@ -73,10 +73,12 @@ def unscored_notes(replay: CsvReplay, columns: Columns, rows: list[dict[str, flo
     if not idle:
         return []
     t_s = replay.log.elapsed_s()[np.isfinite(replay.log.range_m)]
-    apart = f"the readings are {np.median(np.diff(t_s)):g} s apart" if t_s.size > 1 else "there is one reading"
+    readings = f"{t_s.size} readings"
+    if t_s.size > 1:
+        readings += f" over {np.ptp(t_s):g} s, {np.median(np.diff(t_s)):g} s apart"
     return [
-        f"no forecast over {', '.join(idle)} s could be compared: {apart}, over {np.ptp(t_s):g} s, and none came "
-        f"within {columns.match_s:g} s after a horizon; check [time] unit, and [forecast] horizons and match"
+        f"no forecast over {', '.join(idle)} s could be compared: none of the {readings} came within "
+        f"{columns.match_s:g} s after a horizon; check [time] unit, and [forecast] horizons and match"
     ]
 
 
