@@ -68,16 +68,16 @@ def _difference(values: NDArray[np.float64], reference: NDArray[np.float64]) -> 
 
 
 def unscored_notes(replay: CsvReplay, columns: Columns, rows: list[dict[str, float]]) -> list[str]:
-    """Why forecasts over some horizons met no reading, as text."""
-    idle = [f"{row['horizon_s']:g}" for row in rows if row["n"] == 0]
-    if not idle:
+    """Why no forecast of any horizon met a reading, as text."""
+    if not rows or any(row["n"] for row in rows):
         return []
+    over = ", ".join(f"{row['horizon_s']:g}" for row in rows)
     t_s = replay.log.elapsed_s()[np.isfinite(replay.log.range_m)]
     readings = f"{t_s.size} readings"
     if t_s.size > 1:
-        readings += f" over {np.ptp(t_s):g} s, {np.median(np.diff(t_s)):g} s apart"
+        readings += f" (over {np.ptp(t_s):g} s, {np.median(np.diff(t_s)):g} s apart)"
     return [
-        f"no forecast over {', '.join(idle)} s could be compared: none of the {readings} came within "
+        f"no forecast over {over} s could be compared: none of the {readings} came within "
         f"{columns.match_s:g} s after a horizon; check [time] unit, and [forecast] horizons and match"
     ]
 
