@@ -254,16 +254,23 @@ class NaiveResponse:
             missing_m = self._lead_m(z_m) - self.lead_before_m
         self.misses_m += (missing_m - self.misses_m) / ((4.0 if self.rose else 2.0) * self.number)
         late_s, longest_s = (t_ns - self.begin_ns) * 1e-9 - self.answer_s, c.ANSWER_TAUS * self.tau_s
+        allowed_m = r.OBEYED * self.lift_m if self.rose else self.lift_m - self.answer_m
+        stands = False
+        if self.rose:
+            rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
+            at_ceiling = self.highest_m - allowed_m < z_m < self.highest_m + allowed_m
+            stands = at_ceiling and abs(self.climb_mps) < 0.5 * rate_mps
+        if stands:
+            climb_s = (self.highest_m - self.begin_z_m + self.answer_m) / rate_mps
+            longest_s = min(longest_s, max(climb_s - self.answer_s, 0.0))
         if late_s <= 0.0 or (self.rose and late_s <= longest_s):
             return
         if self.phase == HOLD:
             self._lift(t_ns, z_m, max(c.MOTION_BANDS * self.band_m, r.SWINGS[1] * self.swing_m))
             return
-        allowed_m = r.OBEYED * self.lift_m if self.rose else self.lift_m - self.answer_m
         obeyed = self.misses_m < allowed_m
         if self.rose and z_m > self.highest_m - allowed_m:
-            stands = abs(self.climb_mps) < 0.5 * math.fsum(self.rates_mps) / len(self.rates_mps)
-            obeyed = stands and z_m < self.highest_m + allowed_m
+            obeyed = stands
         if self.is_repeated or (self.applied and obeyed):
             self.phase = NONE
         elif late_s > longest_s:

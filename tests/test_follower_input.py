@@ -271,3 +271,89 @@ def test_a_live_change_at_odds_with_the_window_is_refused_and_changes_nothing(ch
 def test_a_forecast_over_no_time_is_refused(horizon):
     with pytest.raises(UsageError, match=r"horizon_s is .*; it must be (a number|finite)"):
         surffollow.Follower().forecast_range_m(horizon)
+
+
+def _with_reading(f, t_ns, k):
+    """One period of a tool that moves over level ground: a pose and a reading that changed."""
+    f.pose(t_ns, at(1e-4 * k, 0.1))
+    return f.step(t_ns, [0.1 + 1e-5 * (k % 7)])
+
+
+@pytest.mark.parametrize("mode", ["adaptive", "paper"])
+def test_a_pose_that_changes_while_its_time_stands_still_is_an_error_after_a_while(mode):
+    """GIVEN a clock that stops WHEN robot and sensor go on THEN no demand stays valid for good."""
+    f = surffollow.Follower({"mode": mode}, offset_m=0.1)
+    for k in range(200):
+        _with_reading(f, T0 + k * 5 * MS, k)
+    stopped_ns = T0 + 199 * 5 * MS
+    for k in range(200, 299):
+        _with_reading(f, stopped_ns, k)
+    with pytest.raises(PoseError, match=f"all have the time {stopped_ns} ns; the clock stands still.*coarse"):
+        f.pose(stopped_ns, at(0.0299, 0.1))
+    assert f.pose(stopped_ns + 5 * MS, at(0.03, 0.1)), "a clock that goes on is taken again"
+
+
+def test_a_clock_of_a_second_is_refused():
+    f = surffollow.Follower(offset_m=0.1)
+
+    def follow():
+        for k in range(400):
+            _with_reading(f, (1 + k // 200) * 10**9, k)
+
+    with pytest.raises(PoseError, match="too coarse"):
+        follow()
+
+
+def test_the_same_pose_may_be_given_again_for_ever():
+    """GIVEN a loop at 10 kHz and poses at 20 Hz WHEN each pose is given 500 times THEN that is no error."""
+    f = surffollow.Follower(offset_m=0.1)
+    for k in range(2000):
+        report = k // 500
+        f.pose(T0 + report * 50 * MS, at(1e-3 * report, 0.1))
+        f.step(T0 + k * MS // 10, [0.1 + 1e-5 * (k % 7)])
+    assert "VALID" in f.state()["status"]
+
+
+def test_poses_that_are_given_again_do_not_hide_a_clock_that_stands_still():
+    f = surffollow.Follower(offset_m=0.1)
+
+    def report():
+        for k in range(1100):
+            f.pose(T0, at(1e-4 * (k // 10), 0.1))
+
+    with pytest.raises(PoseError, match="stands still"):
+        report()
+
+
+def test_readings_that_change_while_all_times_stand_still_are_an_error_after_a_while():
+    """GIVEN the last pose again and again WHEN readings go on with its time THEN no demand stays valid."""
+    f = surffollow.Follower(offset_m=0.1)
+    for k in range(100):
+        _with_reading(f, T0 + k * 5 * MS, k)
+    stopped_ns = T0 + 99 * 5 * MS
+
+    def go_on():
+        for k in range(101):
+            f.pose(stopped_ns, at(99e-4, 0.1))
+            f.step(stopped_ns, [0.1 + 1e-4 * k])
+
+    with pytest.raises(UsageError, match=f"all have the time {stopped_ns} ns, and no pose is newer"):
+        go_on()
+
+
+def test_readings_whose_time_stands_still_have_no_valid_demand_while_poses_go_on():
+    f = surffollow.Follower(offset_m=0.1)
+    for k in range(600):
+        f.pose(T0 + k * 5 * MS, at(1e-4 * k, 0.1))
+        f.step(T0 + min(k, 200) * 5 * MS, [0.1 + 1e-5 * (k % 7)])
+    assert "VALID" not in f.state()["status"]
+    assert "behind those of poses" in f.state()["reason"]
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_the_same_readings_may_be_given_again_for_ever(alone):
+    """GIVEN one time WHEN two channels are read by turns, or nothing is THEN that is no error."""
+    f = surffollow.Follower({"sensors": [{}, {}]}, offset_m=0.1)
+    f.pose(T0, at(0.0, 0.1))
+    for k in range(500):
+        f.step(T0, [math.nan] if alone else [0.1, None] if k % 2 else [None, 0.1])

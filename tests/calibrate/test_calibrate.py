@@ -103,6 +103,20 @@ def test_a_move_with_heights_downward_or_that_repeats_itself_is_refused() -> Non
         fit_latency(t, z(t, 4.0), t, z(t - 0.03, 4.0) + noise)
 
 
+@pytest.mark.parametrize("noise_m", [0.0, 1e-4])
+def test_distances_that_lead_the_heights_are_refused_with_the_lead(noise_m: float) -> None:
+    t = np.arange(0.0, 8.0, 0.01)
+
+    def z(at: np.ndarray) -> np.ndarray:
+        return 0.1 + 0.01 * np.sin(2 * np.pi * 0.7 * at)
+
+    noise = np.random.default_rng(3).normal(0.0, 1.0, len(t)) * noise_m
+    with pytest.raises(ConfigError, match=r"lead the heights by (29\.|30\.).* ms.*timestamps of the heights"):
+        fit_latency(t, z(t), t, z(t + 0.03) + noise)
+    for lead_s in (0.0, 0.005):  # within the time between rows
+        assert fit_latency(t, z(t), t, z(t + lead_s) + noise).latency_s == pytest.approx(0.0, abs=1e-3)
+
+
 def over_a_plate(tilt_x: float, tilt_y: float, n: int, apart_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
     """Poses over a level plate, tilted at random; what a sensor at (10, 20, 0) mm reads."""
     from scipy.spatial.transform import Rotation
@@ -169,6 +183,14 @@ def test_the_fewest_readings_over_a_plate_are_enough_and_one_less_is_not() -> No
 
 def run(*words: object) -> Result:
     return CliRunner().invoke(calibrate_group, [str(w) for w in words], catch_exceptions=False)
+
+
+def test_pairs_may_have_semicolons_and_a_decimal_comma(tmp_path: Path) -> None:
+    rows = "".join(f"{v},5;{20 + 10 * v},0\n" for v in range(11))
+    (tmp_path / "pairs.csv").write_text("indicated;true\n" + rows)
+    run("range", tmp_path / "pairs.csv", "--unit", "mm", "--out", tmp_path / "laser.json")
+    table = load_calibration(tmp_path / "laser.json").tables[0]
+    assert (table.indicated[0], table.range_m[0]) == pytest.approx((0.5, 0.02))
 
 
 def test_the_commands_write_one_file_that_keeps_what_others_found(tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +100,12 @@ def test_a_folder_is_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(
-    "error", [MemoryError("Unable to allocate 15.3 MiB"), RuntimeError("can't start new thread")]
+    "error",
+    [
+        MemoryError("Unable to allocate 15.3 MiB"),
+        RuntimeError("can't start new thread"),
+        RuntimeError("cannot join thread before it is started"),
+    ],
 )
 def test_a_process_without_memory_or_threads_says_so_in_one_line(error, monkeypatch, capsys):
     def fails(**_):
@@ -112,6 +119,19 @@ def test_a_process_without_memory_or_threads_says_so_in_one_line(error, monkeypa
     assert said.startswith("surffollow: the limits of this process")
     assert "ulimit -v" in said
     assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize("limit_kb", [250_000, 300_000, 400_000, 500_000, 600_000, 680_000])
+@pytest.mark.parametrize("command", ["start", "demo"])
+def test_a_service_with_too_little_address_space_says_so_at_once(command: str, limit_kb: int) -> None:
+    """GIVEN a limit below which OpenBLAS spins or ends the process WHEN it starts THEN a line says why."""
+    words = [sys.executable, "-m", "surffollow", command]
+    limit = f'ulimit -v {limit_kb}; exec "$@"'
+    done = subprocess.run(["sh", "-c", limit, "sh", *words], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.startswith("surffollow: the address space of this process is limited to")
+    assert "ulimit -v" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_a_name_with_control_characters_controls_no_terminal(

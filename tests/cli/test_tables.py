@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from surffollow.cli.calibrate import read_columns
-from surffollow.errors import ConfigError, ScanFileError, SurffollowError, UsageError
+from surffollow.errors import ScanFileError, SurffollowError, UsageError
+from surffollow.record.csv_log import read_numbers
 from surffollow.scan.spot_files import read_spots
 from surffollow.sim.path_table import read_path_table
 
 
 def read_pairs(file: str) -> object:
-    return read_columns(Path(file), ("x_m", "y_m"))
+    return read_numbers(file, ("x_m", "y_m"))
 
 
 @pytest.mark.parametrize(
-    ("read", "error"), [(read_pairs, ConfigError), (read_path_table, UsageError), (read_spots, ScanFileError)]
+    ("read", "error"), [(read_pairs, UsageError), (read_path_table, UsageError), (read_spots, ScanFileError)]
 )
 def test_digits_grouped_by_underscores_are_refused(
     tmp_path: Path, read, error: type[SurffollowError]

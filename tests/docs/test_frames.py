@@ -117,3 +117,37 @@ def test_what_the_page_warns_of_happens(attitude: tuple[float, ...]) -> None:
     else:
         assert heights == start_m, "it was moved"
     assert (beam_note(report(0.0, 0.1), IDENTITY) != "") == (attitude != LEVEL)
+
+
+def least_clearance(reported: str) -> float:
+    """Least clearance [stand-offs] over waves of 0.5 m and ±20 mm at 0.4 m/s."""
+    tau_s, period_s, limits = 0.05, 0.005, {"v_max_mps": 0.5, "a_max_mps2": 5.0}
+    follower = Follower(
+        {"sensors": [{"near_m": 0.03, "far_m": 0.4}], "plant": {"tau_s": tau_s, **limits}},
+        offset_m=STANDOFF_M,
+    )
+    rng, x, z, speed, least, setpoints = np.random.default_rng(0), 0.0, 0.1, 0.0, 1.0, [0.1] * 11
+    for k in range(2000):
+        t_ns, ground = round(1e9 * k * period_s), 0.02 * math.sin(4.0 * math.pi * x)
+        height = z if reported == "measured" else setpoints[-1 if reported == "commanded" else -11]
+        follower.pose(t_ns, (x, 0.0, height, *LEVEL))
+        demand = follower.step(t_ns, [z - ground + 5e-5 * rng.normal()])
+        follows = "VALID" in follower.state()["status"]
+        setpoints.append(height + float(demand[2]) if follows else setpoints[-1])
+        for _ in range(10):
+            wanted = max(-0.5, min(0.5, (setpoints[-1] - z) / tau_s))
+            speed += max(-0.0025, min(0.0025, wanted - speed))
+            z += 0.1 * period_s * speed
+        x += 0.4 * period_s
+        if k > 600:
+            least = min(least, (z - 0.02 * math.sin(4.0 * math.pi * x)) / STANDOFF_M)
+    return least
+
+
+@pytest.mark.parametrize("reported", ["measured", "commanded", "commanded, delayed by τ"])
+def test_commanded_heights_cost_the_clearance_that_the_page_says(reported: str) -> None:
+    least = least_clearance(reported)
+    print(f"{reported}: {least:.2f}")
+    row = re.search(rf"^\| {reported} \| ([0-9.]+) \|$", PAGE.read_text(), re.M)
+    assert row is not None
+    assert least == pytest.approx(float(row[1]), abs=0.15 if reported == "commanded" else 0.015)

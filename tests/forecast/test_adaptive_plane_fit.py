@@ -162,7 +162,7 @@ def test_another_beam_becomes_the_reference_when_it_is_lost():
     before = f._state["adaptive"][0]["estimate"]["samples"]
     tool.run(1000, slanted(0.0, 0.0), spoil)
     assert f.state()["status"] == ["VALID"]
-    assert f.state()["reason"].endswith("the others count (channel 0)")
+    assert f.state()["reason"].endswith("within the window (channel 0)")
     assert f._state["adaptive"][0]["estimate"]["samples"] - before > 230
 
 

@@ -145,3 +145,12 @@ def test_a_slow_channel_that_was_silent_for_long_is_named_as_soon_the_second_tim
     )
     assert said[2850][1] == ""
     assert said[3400][1] == f"{SILENT} (channel 2)"
+
+
+def test_the_reason_does_not_say_which_channels_count():
+    """GIVEN a frozen channel 0, orient off WHEN good ones leave the window THEN none is said to be right."""
+    f = Follower({"sensors": [{"position_m": [0.0, 0.02 * k, 0.0]} for k in (0, 1, -1)], "orient": "off"})
+    for k in range(500):
+        f.pose(k * 4 * MS, (4e-4 * k, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))
+        f.step(k * 4 * MS, [0.1 + 1e-4 * math.sin(k * k), *([0.01] * 2 if k > 300 else [0.1 + 1e-5 * k] * 2)])
+    assert f.state()["reason"] == "some sensors give no reading within the window (channels 1, 2)"

@@ -80,7 +80,8 @@ def test_semicolons_and_tabs_are_read_with_either_decimal_sign(
         (HEADER.replace(",", ";") + "1;1,234,5;0;0;0;0;0;0\n", "'1.234.5' is not a finite number"),
         (HEADER, r"log .*log\.csv has a line of column names and no row"),
         ("logger 7\n2026\n" + HEADER, "column names are in line 3; remove the lines above"),
-        ("\0" * 100_000, r"log\.csv is no text in UTF-8"),
+        ("\0" * 100_000, r"log\.csv has zero bytes from line 1 on: a crash cut or padded it"),
+        (HEADER + "1,2,0,0,0,0,0,0\n2,2,0\0\0\0", r"log\.csv has zero bytes from line 3 on: .*remove them"),
         ("n" * 100_000, r"it has n{200}…; change the column file"),
         (HEADER + "1," + "x" * 100_000 + ",0,0,0,0,0,0\n", r"line 2, column 'd': 'x{200}…' is not"),
         (HEADER + "1,2,0,0,0,0,0,0\n2,x,0,0,0,0,0,0\n", r"log\.csv, line 3, column 'd': 'x' is not"),
@@ -187,3 +188,9 @@ def test_a_depth_is_straight_down_however_the_vehicle_is_tilted(tmp_path: Path) 
 def test_a_column_file_that_contradicts_itself_is_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         plain(**change)
+
+
+def test_a_log_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_bytes(HEADER.encode() + b"1,2,0,0,0,0,0,0,H\xf6he\n")
+    with pytest.raises(UsageError, match="no text in UTF-8"):
+        read_csv(tmp_path / "log.csv", plain())

@@ -63,6 +63,30 @@ def test_a_log_without_a_reading_is_refused_with_a_value_that_arrived(
         run_csv(log_of(tmp_path, HEADER + rows, plain()).between(start_s, None), plain())
 
 
+def test_a_range_in_the_unit_of_the_kernels_is_not_converted_in_the_message(tmp_path: Path) -> None:
+    columns = plain(range={"column": "d", "unit": "m", "min": "5 cm", "max": "10 m"})
+    with pytest.raises(UsageError) as error:
+        run_csv(log_of(tmp_path, HEADER + "1,1000,0,0,0,0,0,0\n", columns), columns)
+    assert "is 1000 m (in mm it would be 1 m); check [range] unit" in str(error.value)
+
+
+def test_a_log_whose_time_stands_still_is_refused_with_its_line(tmp_path: Path) -> None:
+    rows = "".join(f"1000,200,{n},0,0,0,0,0\n" for n in range(150))
+    with pytest.raises(UsageError, match=r"line 102, column 't': .*stands still.*check \[time\] column"):
+        run_csv(log_of(tmp_path, HEADER + rows), plain())
+
+
+def test_the_summary_says_why_no_forecast_could_be_compared(tmp_path: Path) -> None:
+    """GIVEN a log in ms WHEN its column file says s THEN a note names the time between readings."""
+    rows = "".join(f"{20 * n},200,0,0,0,0,0,0\n" for n in range(150))
+    for unit, noted in (("ms", False), ("s", True)):
+        columns = plain(time={"column": "t", "unit": unit})
+        summary = summarise("log.csv", run_csv(log_of(tmp_path, HEADER + rows, columns), columns), columns)
+        assert (summary["forecast"][0]["n"] == 0) == noted
+        assert any("no forecast over 1 s" in note for note in summary["notes"]) == noted
+        assert any("20 s apart" in note and "[time] unit" in note for note in summary["notes"]) == noted
+
+
 def make_replay(t_s: list[float], range_m: list[float], forecast_m: list[float]) -> CsvReplay:
     n = len(t_s)
     log = CsvLog(np.array(t_s), np.array(range_m), np.zeros((n, 7)), None)

@@ -12,7 +12,7 @@ DEAD = 'mode = "adaptive"\n[[driver.faults]]\nkind = "invalid"\nchannel = 1'
 
 def test_the_status_names_a_dead_sensor(make_service: Callable[..., Service]) -> None:
     service = make_service(kind="simulated", driver="channels = 2", follow=DEAD).start()
-    named = "SUSPECT (some sensors give no reading within the window; the others count (channel 1))"
+    named = "SUSPECT (some sensors give no reading within the window (channel 1))"
     ended = threading.Event()
     with service.attach() as client:
 

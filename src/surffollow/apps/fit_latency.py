@@ -38,8 +38,8 @@ def fit_latency(
     Raises
     ------
     ConfigError
-        too few readings, times that go back, heights that are downward, or a move that is too small, has no
-        change of direction, or repeats itself within the longest delay
+        too few readings, times that go back, heights that are downward, distances that lead the heights, or a
+        move that is too small, has no change of direction, or repeats itself within the longest delay
     """
     back = np.flatnonzero(np.diff(t_s) <= 0.0)
     if len(back):
@@ -55,15 +55,28 @@ def fit_latency(
         off = seen - sign * np.interp(at - latency_s, t_s, z_m)
         return np.asarray(off - off.mean())
 
-    def minima(sign: float) -> list[tuple[float, float]]:
-        return find_minima(lambda x: float(np.sum(errors(x, sign) ** 2)), np.linspace(0.0, LONGEST_S, 101))
+    def minima(sign: float, longest_s: float = LONGEST_S) -> list[tuple[float, float]]:
+        lags_s = np.linspace(min(0.0, longest_s), max(0.0, longest_s), 101)
+        return find_minima(lambda x: float(np.sum(errors(x, sign) ** 2)), lags_s)
+
+    def fits_alike(cost: float) -> float:
+        """Up to this cost a fit is not worse than one of `cost`."""
+        return cost + len(at) * max(SIGMAS**2 * cost / len(at) ** 2, (RESOLVED * float(np.std(z_m))) ** 2)
 
     cost, latency_s = min(minima(1.0), default=(np.inf, 0.0))
-    as_good = cost + len(at) * max(SIGMAS**2 * cost / len(at) ** 2, (RESOLVED * float(np.std(z_m))) ** 2)
+    as_good = fits_alike(cost)
     if any(c <= as_good and x < latency_s for c, x in minima(-1.0)):
         raise ConfigError(
             "distances fall where heights grow: z_m must be upward over ground that is looked down upon; "
             "turn its sign, or move more slowly if the distances are later than half an up and down"
+        )
+    lead_cost, negative_s = min(minima(1.0, -LONGEST_S), default=(np.inf, 0.0))
+    row_s = max(float(np.median(np.diff(t_s))), float(np.median(np.diff(at))))
+    if fits_alike(lead_cost) < cost and -negative_s > row_s:  # a lead within the time between rows is none
+        raise ConfigError(
+            f"the distances lead the heights by {-1e3 * negative_s:.1f} ms, which cannot be: the timestamps "
+            "of the heights are too late, or those of the distances too early; give both the time of their "
+            "measurement by one clock"
         )
     others = [x for c, x in minima(1.0) if c <= as_good and abs(x - latency_s) > LONGEST_S / 50]
     if others:

@@ -28,30 +28,6 @@ def calibrate_group() -> None:
     """Calibrate a sensor; the file goes into a configuration as [driver] calibration = "FILE"."""
 
 
-def read_columns(path: Path, names: tuple[str, ...]) -> list[Any]:
-    """Columns of a CSV file with a header line, as float64 arrays in the order of `names`."""
-    import csv
-
-    import numpy as np
-
-    from surffollow.errors import ConfigError
-    from surffollow.units import decimal_number
-
-    with open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
-        rows = csv.DictReader(file)
-        missing = [n for n in names if n not in (rows.fieldnames or ())]
-        if missing:
-            raise ConfigError(
-                f"{path} has the columns {', '.join(rows.fieldnames or ())}; {', '.join(missing)} is missing "
-                f"(expected: {', '.join(names)})"
-            )
-        try:
-            table = [[decimal_number(row[n] or "nan") for n in names] for row in rows]
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"{path}, line {rows.line_num}: {error}") from None
-    return list(np.array(table, float).reshape(-1, len(names)).T)
-
-
 def print_result(as_json: bool, found: dict[str, Any], text: str) -> None:
     """Print what was found."""
     if as_json:
@@ -97,6 +73,7 @@ def range_command(
     from surffollow.cli.range_pairs import draw_fit, typed_pairs, unit_notes
     from surffollow.hw.calibration import merged, save_calibration
     from surffollow.map.formats.atomic_file import check_not_read
+    from surffollow.record.csv_log import read_numbers
     from surffollow.record.figure import check_figure
     from surffollow.units import unit_scale
 
@@ -109,12 +86,12 @@ def range_command(
         check_figure(plot)
     scale = unit_scale(unit, "m")
     if pairs is not None:
-        indicated, true = read_columns(pairs, ("indicated", "true"))
+        indicated, true = read_numbers(pairs, ("indicated", "true"))
         if indicated_unit is not None:
             indicated = unit_scale(indicated_unit, "m") * indicated
     else:
-        indicated, true = typed_pairs(str(name), channel, seconds, unit)
-    indicated, true_m = np.asarray(indicated), scale * np.asarray(true)
+        indicated, true = map(np.array, typed_pairs(str(name), channel, seconds, unit))
+    true_m = scale * true
     fit = fit_range(indicated, true_m, channel)
     notes = unit_notes(fit.table)
     about = {
@@ -161,8 +138,9 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
         raise click.UsageError("give either MOVE or --name")
     if move is not None:
         from surffollow.apps.fit_latency import fit_latency
+        from surffollow.record.csv_log import read_numbers
 
-        t_s, z_m, range_m = read_columns(move, ("t_s", "z_m", "range_m"))
+        t_s, z_m, range_m = read_numbers(move, ("t_s", "z_m", "range_m"))
         fit = fit_latency(t_s, z_m, t_s, range_m)
         latency_s, found = fit.latency_s, {"sigma_s": fit.sigma_s, "scatter_m": fit.scatter_m}
     else:
@@ -200,9 +178,10 @@ def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
     from surffollow.hw.calibration import load_calibration, merged, save_calibration
     from surffollow.hw.driver import IDENTITY
     from surffollow.map.formats.atomic_file import check_not_read
+    from surffollow.record.csv_log import read_numbers
 
     check_not_read(out, moves)
-    *poses, range_m = read_columns(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))
+    *poses, range_m = read_numbers(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))
     fit = fit_mount(np.array(poses).T, range_m)
     mounts = list((load_calibration(out).mounts or ()) if os.path.exists(out) else ())
     mounts += [IDENTITY] * (channel + 1 - len(mounts))

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from surffollow.cli.option_types import Finite
+from surffollow.cli.service import check_address_space
 from surffollow.cli.simulate import LENGTH, SPEED
 
 
@@ -74,6 +75,7 @@ def demo_command(
     Prints how well it went, replays the recording and compares every bit, and draws a
     picture. Exit code 1 when any of it failed.
     """
+    check_address_space()
     if sensors is not None and mode == "paper":
         raise click.UsageError("the paper's mode knows no rotations; leave --mode or --sensors out")
     surface = surface or ("fy91" if sensors is None else "dome")

@@ -110,7 +110,9 @@ def lacks_memory(error: Exception) -> bool:
     text = str(error)
     if isinstance(error, OSError):
         return error.errno is None and "libllvmlite" in text
-    return isinstance(error, MemoryError) or "start new thread" in text
+    return (
+        isinstance(error, MemoryError) or "start new thread" in text or "thread before it is started" in text
+    )
 
 
 def one_object_is_printed(ctx: click.Context) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import resource
 import sys
 
 import click
@@ -9,6 +11,30 @@ import click
 from surffollow.cli.ending import check_holder_is_here, end_process
 from surffollow.cli.entry import ended_at_once_by_interrupts
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
+from surffollow.errors import FaultError
+
+LEAST_ADDRESS_SPACE = 700_000_000  # of a start with compiled kernels [bytes]: it works with 635 MB
+
+
+def check_address_space() -> None:
+    """Refuse a limit of address space that is too small, before NumPy loads: OpenBLAS ends or spins there.
+
+    Under a larger limit OpenBLAS gets one thread, because each takes address space.
+
+    Raises
+    ------
+    FaultError
+        the limit of this process is too small for a service
+    """
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY:
+        return
+    if limit < LEAST_ADDRESS_SPACE:
+        raise FaultError(
+            f"the address space of this process is limited to {limit // 1000000} MB; a service needs 1 GB: "
+            "raise the limit (ulimit -v, LimitAS=)"
+        )
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @click.command("start")
@@ -28,6 +54,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 
     SIGTERM, SIGHUP and Ctrl-C end it.
     """
+    check_address_space()
     with ended_at_once_by_interrupts():
         from surffollow.service.messages import hold_standard_files
 

@@ -51,10 +51,10 @@ class Client(MapRequests):
         Parameters
         ----------
         pose : seven floats
-            x y z [m], qx qy qz qw (unit), world from tool; z of the world is up, and a beam leaves along -z
-            of its sensor (docs/explanation/frames.md)
+            measured, not commanded (docs/explanation/frames.md#measured-not-commanded): x y z [m],
+            qx qy qz qw (unit), world from tool; z of the world is up, a beam leaves along -z of its sensor
         t_ns : int, optional
-            when that was true, CLOCK_MONOTONIC [ns]; now when absent
+            when that was true, the time of its measurement, CLOCK_MONOTONIC [ns]; now when absent
 
         Raises
         ------

@@ -70,6 +70,8 @@ class RangePusher(Reclaimer):
             self._check_service(now)
         pushed = self._pushed
         try:
+            if type(range_m) is not float and _is_truth_value(range_m):
+                raise TypeError
             if not pushed.get(channel, NOT_HELD) < t_ns <= now + FUTURE_NS or now - t_ns > OLDEST_NS:
                 pushed = self._prepare(channel, t_ns, now)
             words, memory = self._range_view
@@ -153,6 +155,11 @@ class RangePusher(Reclaimer):
             self._request(lb.RQ_RELEASE_RANGE, numbers=(channel,), n=1, patience_s=1.0).result(1.0)
             self._pushed.pop(channel, None)
         self._had.discard((lb.RQ_CLAIM_RANGE, channel))
+
+
+def _is_truth_value(value: object) -> bool:
+    """Whether a value is a bool of Python or NumPy, which `struct` takes for 0 or 1."""
+    return type(value).__name__ in ("bool", "bool_")
 
 
 def _unusable(channel: Any, t_ns: Any, range_m: Any) -> ReadingError:

@@ -26,6 +26,7 @@ from surffollow.follower.given_values import write_pose, write_ranges
 from surffollow.follower.kernel_time import PoseIntervals, kernel_time
 from surffollow.follower.reading_stamps import Timestamps
 from surffollow.follower.setup import Config, read_setup
+from surffollow.follower.standing_clock import StandingClock
 from surffollow.follower.state_report import state_report
 from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import report_pose
@@ -95,6 +96,7 @@ class Follower:
         self._memory = new_memory() if setup.use_memory and adaptive else None
         sf_reset(self._params, self._state, float(self._params["offset_m"][0]))
         self._stamps, self._pose_intervals = Timestamps(), PoseIntervals()
+        self._standing = StandingClock()
         self._n_channels = len(setup.mounts)
         self._scale_times()
 
@@ -177,8 +179,8 @@ class Follower:
         t_ns : int
             when the pose was true, a whole number of ns; reports may arrive late
         pose : 7 numbers
-            x y z [m], unit quaternion qx qy qz qw, world from tool; z of the world is up, and a beam leaves
-            along -z of its sensor (docs/explanation/frames.md)
+            measured, not commanded (docs/explanation/frames.md#measured-not-commanded): x y z [m],
+            qx qy qz qw (unit), world from tool; z of the world is up, a beam leaves along -z of its sensor
 
         Returns
         -------
@@ -190,10 +192,12 @@ class Follower:
         PoseError
             not seven finite numbers, a quaternion whose norm is off by more than 1e-3, a time that is no
             whole number or more than an hour before 0, or 100 poses in succession less than 1 µs apart: then
-            the times are in another unit
+            the times are in another unit. Or 100 poses in succession that changed while their time did not:
+            then the clock stands still or is too coarse
         """
         write_pose(self._pose, pose)
         t = kernel_time(t_ns, PoseError)
+        self._standing.check_pose(t, self._pose)
         answer = int(report_pose(self._state, self._stepped_ns, t, self._pose))
         if answer == CLOCK_SET:
             self._latest_ns = t
@@ -222,16 +226,20 @@ class Follower:
         Raises
         ------
         UsageError
-            not a number for each sensor, or a time that is no whole number or more than an hour before 0
+            not a number for each sensor, a time that is no whole number or more than an hour before 0, or 100
+            steps in succession whose readings changed while neither their time nor that of the poses did
 
         Notes
         -----
         The sequence of stages: docs/explanation/following.md.
         """
         n = write_ranges(self._given_m, ranges_m, self._n_channels)
-        t = self._stepped_ns = kernel_time(t_ns)
+        t = kernel_time(t_ns)
+        given_m = self._given_m[:n].tolist()
+        self._standing.check_step(t, given_m)
+        self._stepped_ns = t
         if self._checks_stamps:
-            t = self._checked_stamp(t, n)
+            t = self._checked_stamp(t, given_m)
         self._n_ranges[0] = n
         self._t_ns[0] = self._given_t_ns[0] = t
         self._latest_ns = max(t, self._latest_ns if self._latest_ns - t <= self._jump_ns else t)
@@ -245,13 +253,13 @@ class Follower:
         demand: NDArray[np.float64] = self._demand.copy()
         return demand
 
-    def _checked_stamp(self, t_ns: int, n: int) -> int:
+    def _checked_stamp(self, t_ns: int, given_m: list[float]) -> int:
         """The step's time; readings whose timestamp must be wrong are dropped."""
-        first = next((c for c, r in enumerate(self._given_m[:n].tolist()) if r == r), None)
+        first = next((c for c, r in enumerate(given_m) if r == r), None)
         self._stamps.time.timeout_ns = float(self._pose_timeout_ns[0])
         t, dropped = self._stamps.check(t_ns, first)
         if dropped:
-            self._given_m[:n] = math.nan
+            self._given_m[: len(given_m)] = math.nan
         else:
             self._stepped_ns = t
         return t

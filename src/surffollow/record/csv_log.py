@@ -6,7 +6,7 @@ import contextlib
 import csv
 import io
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
 from pathlib import Path
@@ -84,9 +84,9 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     UsageError  unreadable, a column is missing or there twice, a row has values beyond the columns, a number
         is none, time goes back; names file, line, column
     """
-    text = _text(path)
     names = _names(columns)
-    cells, times, lines = _cells(str(path), text, names, columns.time.column)
+    remedy = "change the column file to match"
+    cells, times, lines = _cells(str(path), _text(path), names, columns.time.column, remedy)
     t_s = cells[columns.time.column] * unit_scale(columns.time.unit, "s")
     back = np.flatnonzero(np.diff(t_s) < 0.0)
     if back.size:
@@ -108,6 +108,20 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, at, written)
 
 
+def read_numbers(path: str | Path, names: Sequence[str]) -> list[NDArray[np.float64]]:
+    """Read columns of a CSV file as they are, in the order of `names`; NaN for an empty cell.
+
+    Separators and decimal signs are those of `read_csv`.
+
+    Raises
+    ------
+    UsageError  as `read_csv`
+    """
+    remedy = f"expected: {', '.join(names)}"
+    cells, _, _ = _cells(str(path), _text(path), dict.fromkeys(names, True), names[0], remedy)
+    return [cells[name] for name in names]
+
+
 def _text(path: str | Path) -> str:
     """Content of a log."""
     try:
@@ -121,9 +135,13 @@ def _text(path: str | Path) -> str:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = "\0"
+        raise UsageError(f"log {path} is no text in UTF-8; save it as UTF-8") from None
     if "\0" in text:
-        raise UsageError(f"log {path} is no text in UTF-8; save it as UTF-8")
+        where = text.count("\n", 0, text.index("\0")) + 1
+        raise UsageError(
+            f"log {path} has zero bytes from line {where} on: a crash cut or padded it, or it is UTF-16; "
+            "remove them with the row that they cut, or save it as UTF-8"
+        )
     return text
 
 
@@ -133,16 +151,15 @@ def _shown(text: str) -> str:
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
 
 
-def _missing(path: str, header: list[str], names: Iterable[str], rows: Iterable[list[str]]) -> UsageError:
+def _missing(
+    path: str, header: list[str], names: Iterable[str], rows: Iterable[list[str]], remedy: str
+) -> UsageError:
     """The error of a log whose first line lacks a column, with the cause where it can be seen."""
     missing = next(name for name in names if name not in header)
     for number, row in zip(range(2, LAST_HEADER_LINE + 1), rows):
         if set(names) <= {cell.strip() for cell in row}:
             return UsageError(f"{path}: the column names are in line {number}; remove the lines above it")
-    return UsageError(
-        f"{path} has no column {missing!r}; it has {_shown(', '.join(header))}; "
-        "change the column file to match"
-    )
+    return UsageError(f"{path} has no column {missing!r}; it has {_shown(', '.join(header))}; {remedy}")
 
 
 def _since(times: list[str], scale: float) -> NDArray[np.float64] | None:
@@ -170,9 +187,12 @@ def _names(c: Columns) -> dict[str, bool]:
 
 
 def _cells(
-    path: str, text: str, names: dict[str, bool], verbatim: str
+    path: str, text: str, names: dict[str, bool], verbatim: str, remedy: str
 ) -> tuple[dict[str, NDArray[np.float64]], list[str], list[int]]:
-    """The columns as numbers, one of them as it is written, and the line of each row."""
+    """The columns as numbers, one of them as it is written, and the line of each row.
+
+    `remedy` : what the error of a missing column says
+    """
     separator = _separator(text, names)
     rows = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     signs: set[str] = set()
@@ -180,7 +200,7 @@ def _cells(
         header = [name.strip() for name in next(rows, [])]
         places = {}
         if not set(names) <= set(header):
-            raise _missing(path, header, names, rows)
+            raise _missing(path, header, names, rows, remedy)
         for name in names:
             if header.count(name) > 1:
                 raise UsageError(f"{path}: column {name!r} occurs more than once; rename the others")

@@ -91,11 +91,21 @@ def _no_reading(log: CsvLog, columns: Columns) -> str:
         )
     value_m = float(some[0]) * unit_scale(given.unit, "m")
     low_m, high_m = columns.limits_m
+    meant = "" if value_m == some[0] else f", which is {value_m:g} m"
+    for unit in ("mm", "cm"):
+        other_m = float(some[0]) * unit_scale(unit, "m")
+        if not meant and low_m < other_m < high_m:
+            meant = f" (in {unit} it would be {other_m:g} m)"
     return (
         f"none of the {rows} rows has a reading from min {low_m:g} to max {high_m:g} m: the first value of "
-        f"column {given.column!r} is {some[0]:g} {given.unit}, which is {value_m:g} m; check [range] unit, "
-        "min and max"
+        f"column {given.column!r} is {some[0]:g} {given.unit}{meant}; check [range] unit, min and max"
     )
+
+
+def _of_row(log: CsvLog, columns: Columns, row: int, error: UsageError) -> UsageError:
+    """The error of a row that the follower refuses, such as times that stand still."""
+    line = "" if log.lines is None else f"line {log.lines[row]}, "
+    return UsageError(f"{line}column {columns.time.column!r}: {error}; check [time] column and unit")
 
 
 def run_csv(
@@ -114,7 +124,7 @@ def run_csv(
 
     Raises
     ------
-    UsageError  no row has a reading
+    UsageError  no row has a reading, or the times of the rows stand still or are in another unit
     """
     if not np.isfinite(log.range_m).any():
         raise UsageError(_no_reading(log, columns))
@@ -129,8 +139,11 @@ def run_csv(
         if progress is not None and i % ROWS_PER_REPORT == 0:
             progress(i / n)
         t_ns = round(float(elapsed_s[i]) * 1e9) + 1_000_000_000
-        follower.pose(t_ns, log.pose[i])
-        follower.step(t_ns, [float(log.range_m[i])])
+        try:
+            follower.pose(t_ns, log.pose[i])
+            follower.step(t_ns, [float(log.range_m[i])])
+        except UsageError as error:
+            raise _of_row(log, columns, i, error) from None
         reading = math.isfinite(log.range_m[i])
         known = known or reading
         if known:

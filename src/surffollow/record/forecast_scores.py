@@ -67,11 +67,27 @@ def _difference(values: NDArray[np.float64], reference: NDArray[np.float64]) -> 
     return {"n": int(d.size), "mean_m": float(d.mean()), "std_m": float(d.std())}
 
 
+def unscored_notes(replay: CsvReplay, columns: Columns, rows: list[dict[str, float]]) -> list[str]:
+    """Why no forecast of any horizon met a reading, as text."""
+    if not rows or any(row["n"] for row in rows):
+        return []
+    over = ", ".join(f"{row['horizon_s']:g}" for row in rows)
+    t_s = replay.log.elapsed_s()[np.isfinite(replay.log.range_m)]
+    readings = f"{t_s.size} readings"
+    if t_s.size > 1:
+        readings += f" (over {np.ptp(t_s):g} s, {np.median(np.diff(t_s)):g} s apart)"
+    return [
+        f"no forecast over {over} s could be compared: none of the {readings} came within "
+        f"{columns.match_s:g} s after a horizon; check [time] unit, and [forecast] horizons and match"
+    ]
+
+
 def summarise(path: str | Path, replay: CsvReplay, columns: Columns) -> dict[str, Any]:
     """The replay in one dictionary, ready for JSON (a figure that does not exist is None)."""
     log = replay.log
     heights = replay.height_m[np.isfinite(replay.height_m)]
     slopes = replay.slope[np.isfinite(replay.slope)]
+    scores = score_forecast(replay, columns)
     out: dict[str, Any] = {
         "file": str(path),
         "mode": replay.mode,
@@ -81,10 +97,8 @@ def summarise(path: str | Path, replay: CsvReplay, columns: Columns) -> dict[str
         "end_s": float(log.t_s[-1]),
         "height_m": {"min": float(heights.min()), "mean": float(heights.mean()), "max": float(heights.max())},
         "slope": {"min": float(slopes.min()), "mean": float(slopes.mean()), "max": float(slopes.max())},
-        "notes": follow_notes(columns, replay.mode),
-        "forecast": [
-            {k: None if v != v else v for k, v in row.items()} for row in score_forecast(replay, columns)
-        ],
+        "notes": follow_notes(columns, replay.mode) + unscored_notes(replay, columns, scores),
+        "forecast": [{k: None if v != v else v for k, v in row.items()} for row in scores],
     }
     if log.reference_m is not None and columns.reference is not None:
         out["reference"] = {

@@ -221,7 +221,7 @@ REASON_NAMES = (
     "sensors disagree without a majority; the nearer ground counts",
     "reported position jumped; ground known from before is not used",
     "readings do not respond to the tool's rotation; the tool does not rotate",
-    "some sensors give no reading within the window; the others count",
+    "some sensors give no reading within the window",
     "readings arrive later than they did: delayed, or the sensor's clock is slow",
     "range repeats the ones before although the tool moves; it is not used",
     "some sensors disagree with the others and are left out",

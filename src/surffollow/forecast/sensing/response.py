@@ -187,7 +187,7 @@ def _update_test(params, adaptive, tool_z_m):
     stands = rises and abs(below_m) < allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * rate_mps
     if stands:  # there the range of a good sensor shortens as the ground rises
         climb_m = response.ceiling_z_m - response.test_z_m + _answer_m(adaptive)
-        longest_s = min(longest_s, climb_m / rate_mps - answer_s(adaptive, MIN_MEANS))
+        longest_s = min(longest_s, max(climb_m / rate_mps - answer_s(adaptive, MIN_MEANS), 0.0))
     if late_s <= (longest_s if rises else 0.0):
         return
     if response.phase == layout.RESPONSE_HOLD:

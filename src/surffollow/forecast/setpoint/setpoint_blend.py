@@ -15,6 +15,10 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 from surffollow.shm.layout_adaptive_sensing import JUMP_SEEN
 
+# of the axis' acceleration: with 1 a tool that is pushed stays beside its stand-off, with 2 an axis that only
+# lags passes it by half (`test_disturbance.py`, `test_unbraked_axis.py`)
+BRAKING = 1.5
+
 
 @jit
 def slope_limit(power):
@@ -169,9 +173,10 @@ def filter_setpoint(params, adaptive, target_m):
 
 @jit
 def braking_setpoint(params, adaptive, target_m, tool_z_m, age_s):
-    """The setpoint, or the lowest one above it from which an axis stops there that only lags [m].
+    """The setpoint, or the lowest one above it with which an axis that only lags comes to the blend [m].
 
-    Such an axis does not brake by itself (`axis_model.axis_velocity`), and would pass its setpoint.
+    Such an axis does not brake by itself (`axis_model.axis_velocity`), and would pass the blend. It has
+    arrived when it moves at the rate of the blend, with its lag and what a disturbance adds to that.
 
     Parameters
     ----------
@@ -180,11 +185,13 @@ def braking_setpoint(params, adaptive, target_m, tool_z_m, age_s):
     tool_z_m : float64  height of the tool in the newest pose reported [m]
     age_s : float64     of that pose when the demand acts [s]
     """
-    tau_s, a_max = adaptive.plant.tau_s, params.plant_a_max_mps2
+    tau_s, a_max = adaptive.plant.tau_s, BRAKING * params.plant_a_max_mps2
+    lag_m = tau_s * (adaptive.blend.rate_mps - adaptive.plant.disturbance_mps)
     z_m = tool_z_m + adaptive.kinematics.climb_mps * age_s
-    if z_m - target_m <= a_max * tau_s * tau_s:
+    above_m = z_m + lag_m - target_m
+    if above_m <= a_max * tau_s * tau_s:
         return target_m
-    return z_m - tau_s * axis_model.axis_velocity(z_m - target_m, tau_s, a_max)
+    return z_m + lag_m - tau_s * axis_model.axis_velocity(above_m, tau_s, a_max)
 
 
 @jit_inlined

@@ -11,7 +11,7 @@
  *     if (err < 0) { fprintf(stderr, "%s\n", sf_strerror(err)); return 1; }
  *     sf_sf_reset(&robot, 0.1);                        stand-off 0.1 m
  *     while (moving) {
- *         sf_ee_pos(&robot, pose, SF_NOW);             x y z [m], qx qy qz qw, world from tool
+ *         sf_ee_pos(&robot, pose, SF_NOW);             measured: x y z [m], qx qy qz qw, world from tool
  *         sf_demand d;
  *         if (sf_dev_vector(&robot, &d) == SF_OK) { ... add d.demand to the pose of d.pose_t_ns ... }
  *     }

@@ -288,8 +288,8 @@ static inline int sf_i_look_after(sf_client *c, int64_t now_ns) {
 
 /*
  * Report the pose of the tool, now or at a past time: x y z [m], unit quaternion qx qy qz qw, world from tool,
- * z of the world up, beams along -z of their sensors (docs/explanation/frames.md);
- * true at `t_ns` (SF_NOW: now). The first call of an attachment claims the pose and waits for the answer
+ * z of the world up, beams along -z of their sensors; the measured pose, not the commanded one, true at `t_ns`
+ * (SF_NOW: now) (docs/explanation/frames.md). The first call of an attachment claims the pose and waits for the answer
  * (sf_claim_pose does that beforehand). No later one waits, in any state of the service or its socket, and none makes
  * a system call but the clock's unless the service is silent or its slot is lost.
  * SF_OK, SF_ERR_POSE, _POSE_FUTURE, _POSE_OLD, _OBSERVER, _NOT_RUNNING (it ended, or slot and pose are being asked
