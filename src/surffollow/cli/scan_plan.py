@@ -21,6 +21,7 @@ from surffollow.cli.scan_options import (
     SPEED,
     Numbers,
     check_picture,
+    gap_of,
     ground_of,
     known_region,
 )
@@ -127,7 +128,7 @@ def plan_command(
     if picture:
         check_picture(picture)
     check_outputs((output, picture), (map_file,))
-    ground = ground_of(map_file, live)
+    ground = ground_of(map_file, live, gap)
     if fill is not None:
         ground = fill_holes(ground, fill)
     space = None
@@ -182,10 +183,11 @@ def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> No
     A swath that is wider than the body is a warning: it is the sensor's width then.
     """
     from surffollow.scan.check import check_path
+    from surffollow.scan.path_file import read_path
 
     if len(files) != (2 if live is None else 1):
         raise click.UsageError("give MAP and PATH, or --live NAME and PATH")
-    ground = ground_of(files[0] if live is None else None, live)
+    ground = ground_of(files[0] if live is None else None, live, gap_of(read_path(files[-1])))
     findings = check_path(ground.heights_m, ground.origin_m, ground.grid_m, files[-1])
     accepted = all(f.ok for f in findings)
     if as_json:

@@ -15,6 +15,7 @@ from surffollow.map.arguments import rounded_up
 from surffollow.map.formats.atomic_file import Progress, report
 from surffollow.map.height_map import HeightMap
 from surffollow.map.kernels.geometry import fit_grids
+from surffollow.map.outlying_heights import refuse_outlying
 from surffollow.map.resample_areas import lattice_sums, overlap_lengths
 from surffollow.shm import map_layout as ml
 
@@ -113,7 +114,8 @@ def compose(
     Raises
     ------
     UsageError
-        no maps, maps too far apart for the finest grid, or more memory than is free
+        no maps, maps too far apart for the finest grid, more memory than is free, or a few heights so far
+        from all others that they would make the quantum coarse
     """
     if not maps:
         raise UsageError("compose needs at least one map")
@@ -148,6 +150,7 @@ def compose(
     quantum, needed = min(m.quantum_m for m in maps), span / (2 * ml.MAX_HEIGHT - 2)
     if quantum < needed:
         quantum = rounded_up(needed)  # the finest one cannot hold the heights of all maps
+        refuse_outlying(heights, (x0, y0), grid, quantum)
     datum = maps[0].datum_m if _fits(heights, maps[0].datum_m, quantum) else None
     return HeightMap.from_heights(
         heights, origin_m=(x0, y0), grid_m=grid, counts=counts, quantum_m=quantum, datum_m=datum
