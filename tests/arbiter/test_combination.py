@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import time
 
 import numpy as np
@@ -77,6 +78,7 @@ def parts(tool):
         follow = enter(attach(tool.name, "follow")).resource("follow")
         avoid = enter(attach(tool.name, "avoid")).resource("offset")
         yield follow, avoid, enter(command_reader(tool.name, "tool"))
+        avoid.relinquish()  # a part that is lost would make the next sum safe
 
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -189,3 +191,47 @@ def test_the_sum_is_valid_only_while_every_part_is(parts):
     follow.relinquish()
     until(lambda: avoid.command(*alone) and reader.latest().safe)
     assert reader.latest().values == (0.0,) * 6
+
+
+@pytest.mark.parametrize("end", ["killed", "stopped", "detached"])
+def test_a_part_that_was_lost_makes_the_sum_safe_until_it_is_claimed_again(tool, child, end):
+    """GIVEN a follower that is lifted by another client WHEN that one dies THEN the tool is not sent down."""
+
+    def lift(say):
+        offset = attach(tool.name, "avoid").resource("offset")
+        assert offset.request()
+        say(b"h")
+        while True:
+            offset.command(0.0, 0.0, 0.02, 0.0, 0.0, 0.0)
+            time.sleep(0.005)
+
+    alone = (0, 0, -0.01, 0, 0, 0)
+    with attach(tool.name, "follow") as one, command_reader(tool.name, "tool") as reader:
+        follow = one.resource("follow")
+        assert follow.request()
+        if end == "detached":
+            with attach(tool.name, "avoid") as other:
+                offset = other.resource("offset")
+                assert offset.request()
+                see(reader, (0, 0, 0.01, 0, 0, 0), lambda: follow.command(*alone),
+                    lambda: offset.command(0.0, 0.0, 0.02, 0.0, 0.0, 0.0))  # fmt: skip
+        else:
+            lifter = child(lift)
+            assert lifter.receive() == b"h"
+            see(reader, (0, 0, 0.01, 0, 0, 0), lambda: follow.command(*alone))
+            lifter.signal(signal.SIGKILL if end == "killed" else signal.SIGSTOP)
+        # WHEN it is gone, the follower's demand alone never goes out
+        ends = time.monotonic() + 1.0
+        while time.monotonic() < ends:
+            follow.command(*alone)
+            command = reader.latest()
+            assert command.safe or command.values[2] > 0.0, command
+            time.sleep(0.002)
+        assert reader.latest().safe
+        # THEN a client that claims the part and gives it back acknowledges the loss
+        with attach(tool.name, "reflex") as operator:
+            offset = operator.resource("offset")
+            assert offset.request()
+            offset.relinquish()
+            see(reader, alone, lambda: follow.command(*alone))
+            follow.relinquish()

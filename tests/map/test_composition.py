@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from map.sampled_maps import sampled
 from surffollow.cli.map import map_group
 from surffollow.map import HeightMap
-from surffollow.map.compose import compose, difference
+from surffollow.map.compose import compose, composition, difference
 
 
 def test_halves_of_a_map_compose_to_the_whole_without_any_loss():
@@ -84,3 +84,34 @@ def test_grids_of_a_composed_map_are_at_most_those_asked_for(tmp_path):
     assert grids["--grids 50"][1]
     reported = " ".join(run.invoke(map_group, ["compose", "--help"]).output.split())
     assert "Most grids in the result: coarser ones where" in reported
+
+
+def test_where_maps_differ_by_more_than_their_noise_the_higher_one_counts(tmp_path):
+    """GIVEN a pole that one of two maps has WHEN they are composed THEN it keeps its height."""
+    rng = np.random.default_rng(3)
+    flat, options = np.zeros((30, 30)), {"origin_m": (0.0, 0.0), "grid_m": 0.05}
+    seen, other = (flat + 1e-3 * rng.normal(size=flat.shape) for _ in range(2))
+    seen[3:5, 7] += 0.5
+    counts = np.full(flat.shape, 4)
+    maps = [
+        HeightMap.from_heights(seen, counts=counts, **options),
+        HeightMap.from_heights(other, counts=3 * counts, **options),
+    ]
+    for pair in (maps, maps[::-1]):
+        whole, disputed = composition(pair)
+        assert disputed == 2
+        np.testing.assert_allclose(whole.heights_m[3:5, 7], seen[3:5, 7], atol=2e-5)
+        mean = (seen + 3 * other) / 4
+        mean[3:5, 7] = whole.heights_m[3:5, 7]
+        np.testing.assert_allclose(whole.heights_m, mean, atol=5e-5)
+    files = [str(tmp_path / f"{k}.npz") for k in range(2)]
+    for m, file in zip(maps, files):
+        m.save(file)
+    result = CliRunner().invoke(map_group, ["compose", *files, "-o", str(tmp_path / "all.npz"), "--json"])
+    assert json.loads(result.output)["disputed"] == 2
+    # an offset of a whole map is no obstacle
+    lifted = HeightMap.from_heights(other + 0.02, counts=counts, **options)
+    assert composition([maps[1], lifted]).disputed == 0
+    # priors of two rasters follow the same rule
+    priors = [HeightMap.from_heights(z, **options) for z in (seen, other)]
+    assert composition(priors).disputed == 2

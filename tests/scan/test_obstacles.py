@@ -10,13 +10,14 @@ from click.testing import CliRunner
 
 from surffollow.cli.main import cli
 from surffollow.scan.camera import Camera, looking_down
+from surffollow.scan.composing import compose_stations
 from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.image_files import DepthImage
 from surffollow.scan.patches import coherent_patches
 from surffollow.scan.path import FILLED_BENEATH
 from surffollow.scan.plan import PlanSettings, plan_scan
 from surffollow.scan.surveying import SurveySettings, survey
-from surffollow.scan.terrain import compose_stations, terrain_map
+from surffollow.scan.terrain import terrain_map
 
 FX, SIDE = 400.0, 300
 REGION = (0.2, 0.2, 0.8, 0.8)

@@ -8,11 +8,12 @@ import pytest
 import naive_scan as naive
 from surffollow.errors import ScanInputError
 from surffollow.map import HeightMap
+from surffollow.scan.composing import compose_stations
 from surffollow.scan.envelope import ball_envelope, envelope_of
 from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.holes import fill_holes
 from surffollow.scan.offset_surface import disagreement, normal_offset
-from surffollow.scan.terrain import compose_stations, terrain_map
+from surffollow.scan.terrain import terrain_map
 
 
 def test_envelope_is_brute_force_to_the_last_bit():

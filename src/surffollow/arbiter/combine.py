@@ -1,7 +1,8 @@
 """Sum the commands of several resources into one, relative to one reported pose (spec §1; paper 000 §3).
 
 The first part that is held and relative to a pose gives the pose; the others are converted to it. The
-sum is valid only while every part that is held is, and every part that is required is held.
+sum is valid only while every part that is held is, every part that is required is held, and no part is lost:
+without the lift of a client that died, the rest would lead the tool down.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
         r = x.part[i]
         run = mem.runs[r]
         if mem.machines[r].state == FREE:
-            valid = 0 if x.required[i] != 0 else valid
+            valid = 0 if x.required[i] != 0 or run.lost != 0 else valid
             continue
         held += 1
         if t_ns >= run.valid_until_ns:

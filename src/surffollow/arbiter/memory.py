@@ -74,6 +74,7 @@ class ResourceRun(Schema):
     asked_ns = I64(unit="ns", doc="when the holder was asked")
     item_seq = I64(doc="highest sequence number forwarded under this token")
     combination = I64(doc="that sums it, -1: none")
+    lost = I64(doc="1: its holder died or fell silent, and it was not granted since")
     value = F64(VALUES, doc="last command, within its limits")
     ref_t_ns = I64(unit="ns")
     ref_pose = F64(POSE)

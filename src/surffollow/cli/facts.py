@@ -30,7 +30,7 @@ def print_facts(facts: dict[str, Any], as_json: bool, digits: int = 6) -> None:
         if isinstance(value, float):
             value = numbers_text(value, digits=digits)
         elif isinstance(value, dict):
-            value = ", ".join(f"{k} {v}" for k, v in value.items() if v)
+            value = ", ".join(f"{k} {v}" for k, v in value.items() if v) or "none"
         elif isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
             for one in value:
                 if "median_m" in one:

@@ -120,15 +120,19 @@ def export_command(file: str, target: str, as_json: bool) -> None:
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the facts of the result as JSON.")
 def compose_command(files: Sequence[str], output: str, grids: int | None, as_json: bool) -> None:
-    """Put several maps together into one, weighted by sample counts."""
-    from surffollow.map.compose import compose
+    """Put several maps together into one, weighted by sample counts.
+
+    Where maps differ by more than their noise explains, the highest one counts (`disputed`): it may be an
+    obstacle. A thing that was moved is then at both places.
+    """
+    from surffollow.map.compose import composition
     from surffollow.map.files import check_suffix, export
 
     check_suffix(output)
     with progress_bar("composing") as progress:
-        whole = compose([_load(f) for f in files], grids=grids, progress=progress)
+        whole, disputed = composition([_load(f) for f in files], grids=grids, progress=progress)
     export(output, whole.header, whole.pairs)
-    print_facts(map_facts(whole), as_json, digits=9)
+    print_facts(map_facts(whole) | {"disputed": disputed}, as_json, digits=9)
 
 
 @map_group.command("refocus", cls=SignedArguments)

@@ -131,11 +131,12 @@ def compose_command(
     """Make one map of the maps of several STATIONS: a TOML file of map files and their poses.
 
     Reports how far the maps differ where they overlap: a median that is not near 0 is an error of a pose.
+    In cells that differ by more than the noise explains (`disputed`) the highest map counts.
     """
     from pathlib import Path
 
+    from surffollow.scan.composing import composed_stations
     from surffollow.scan.stations import overlaps, read_stations
-    from surffollow.scan.terrain import compose_stations
 
     if picture:
         check_picture(picture)
@@ -143,7 +144,8 @@ def compose_command(
     check_outputs((output, picture), (stations, *(Path(stations).parent / s.name for s in read)))
     side = grid if grid is not None else min(s.ground.grid_m for s in read)
     parts = [(s.ground, s.common_from_station) for s in read]
-    ground = compose_stations(parts, side, region=region, fill_m=fill if fill is not None else 10.0 * side)
+    widest = fill if fill is not None else 10.0 * side
+    ground, disputed = composed_stations(parts, side, region=region, fill_m=widest)
     ground.to_map().save(output)
     if picture:
         from surffollow.scan.pictures import draw_map
@@ -152,4 +154,4 @@ def compose_command(
     rows, cols = ground.shape
     facts = {"map": output, "stations": len(read), "rows": rows, "cols": cols, "grid_m": ground.grid_m}
     both = overlaps(read)
-    print_facts(facts | {"extent_m": ground.extent_m, "overlaps": both}, as_json)
+    print_facts(facts | {"extent_m": ground.extent_m, "overlaps": both, "disputed": disputed}, as_json)

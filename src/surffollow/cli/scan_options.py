@@ -14,6 +14,7 @@ from surffollow.units import parse_quantity
 
 if TYPE_CHECKING:
     from surffollow.scan.grid import TerrainGrid
+    from surffollow.scan.path import ScanPath
 
 OUT = click.Path(dir_okay=False)
 
@@ -68,21 +69,42 @@ PICTURE = click.option("--picture", type=OUT, help="Draw a PNG (extra `plot`).")
 LIVE = click.option("--live", type=SERVICE_NAME, help="The map of this running service, in place of MAP.")
 
 
-def ground_of(map_file: str | None, live: str | None) -> TerrainGrid:
-    """The terrain grid of a map file, or of a service as it is now."""
-    from surffollow.scan.grid import TerrainGrid
+def ground_of(map_file: str | None, live: str | None, gap_m: float | None) -> TerrainGrid:
+    """The terrain grid of a map file, or of a service as it is now.
 
+    Its heights have to be fine enough for the gap; None: no gap is known.
+    """
     if (map_file is None) == (live is None):
         raise click.UsageError("give a MAP file or --live NAME")
     if live is not None:
-        from surffollow.scan.live_map import live_grid
+        from surffollow.scan.live_map import live_ground
 
-        return live_grid(live)
-    from surffollow.map import HeightMap
+        ground, quantum_m = live_ground(live)
+    else:
+        from surffollow.scan.map_file import read_ground
 
-    m = HeightMap.load(str(map_file))
-    warn_of_clipped(m.header)
-    return TerrainGrid.from_map(m)
+        ground, m = read_ground(str(map_file))
+        quantum_m = 0.0 if m is None else m.quantum_m
+        if m is not None:
+            warn_of_clipped(m.header)
+    if gap_m is not None:
+        check_step(quantum_m, gap_m, live if live is not None else str(map_file))
+    return ground
+
+
+def check_step(quantum_m: float, gap_m: float, name: str) -> None:
+    """Refuse, or warn of, heights whose step [m] is not small beside the gap [m]."""
+    from surffollow.scan.map_file import step_note
+
+    note = step_note(quantum_m, gap_m, name)
+    if note:
+        click.echo(f"warning: {note}", err=True)
+
+
+def gap_of(path: ScanPath) -> float | None:
+    """The gap that a path was planned with [m]; None: its file has none."""
+    gap = path.facts.get("gap_m")
+    return None if gap is None else float(gap)
 
 
 def known_region(ground: TerrainGrid) -> tuple[float, ...]:

@@ -21,6 +21,7 @@ from surffollow.cli.scan_options import (
     SPEED,
     Numbers,
     check_picture,
+    gap_of,
     ground_of,
     known_region,
 )
@@ -120,6 +121,7 @@ def plan_command(
     from surffollow.scan.limits import Annulus, WristLimits
     from surffollow.scan.path_file import write_path
     from surffollow.scan.plan import PlanSettings, plan_figures, plan_scan
+    from surffollow.scan.plan_size import refuse_large_plan
     from surffollow.scan.shaping import Shaper
     from surffollow.scan.swath import swath_warning
     from surffollow.scan.timing import MotionLimits
@@ -127,7 +129,7 @@ def plan_command(
     if picture:
         check_picture(picture)
     check_outputs((output, picture), (map_file,))
-    ground = ground_of(map_file, live)
+    ground = ground_of(map_file, live, gap)
     if fill is not None:
         ground = fill_holes(ground, fill)
     space = None
@@ -136,23 +138,22 @@ def plan_command(
             raise click.UsageError("--reach needs --base")
         place = (base[0], base[1], base[2] if len(base) > 2 else 0.0)
         space = Annulus(place, radius_max_m=reach[-1], radius_min_m=reach[0] if len(reach) > 1 else 0.0)
-    plan = plan_scan(
-        ground,
-        PlanSettings(
-            region=region if region is not None else known_region(ground),
-            gap_m=gap,
-            body_m=parse_body(body),
-            swath_m=swath,
-            scheme=scheme,
-            angle_rad=angle,
-            base_m=base,
-            following=following,
-            wrist=WristLimits.symmetric(wrist),
-            motion=MotionLimits(speed_mps=speed, acceleration_mps2=acceleration, lateral_mps2=acceleration),
-            work_space=space,
-            shaper=Shaper.zvd(lateral_mode, damping) if lateral_mode > 0.0 else None,
-        ),
+    settings = PlanSettings(
+        region=region if region is not None else known_region(ground),
+        gap_m=gap,
+        body_m=parse_body(body),
+        swath_m=swath,
+        scheme=scheme,
+        angle_rad=angle,
+        base_m=base,
+        following=following,
+        wrist=WristLimits.symmetric(wrist),
+        motion=MotionLimits(speed_mps=speed, acceleration_mps2=acceleration, lateral_mps2=acceleration),
+        work_space=space,
+        shaper=Shaper.zvd(lateral_mode, damping) if lateral_mode > 0.0 else None,
     )
+    refuse_large_plan(settings, ground.grid_m)
+    plan = plan_scan(ground, settings)
     write_path(output, plan)
     if picture:
         from surffollow.scan.pictures import draw_plan
@@ -182,10 +183,11 @@ def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> No
     A swath that is wider than the body is a warning: it is the sensor's width then.
     """
     from surffollow.scan.check import check_path
+    from surffollow.scan.path_file import read_path
 
     if len(files) != (2 if live is None else 1):
         raise click.UsageError("give MAP and PATH, or --live NAME and PATH")
-    ground = ground_of(files[0] if live is None else None, live)
+    ground = ground_of(files[0] if live is None else None, live, gap_of(read_path(files[-1])))
     findings = check_path(ground.heights_m, ground.origin_m, ground.grid_m, files[-1])
     accepted = all(f.ok for f in findings)
     if as_json:

@@ -11,7 +11,7 @@ from surffollow.apps.ending_signals import ending_signals
 from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 from surffollow.cli.output_checks import check_outputs
-from surffollow.cli.scan_options import EXISTING, OUT, PICTURE, check_picture, ground_of
+from surffollow.cli.scan_options import EXISTING, OUT, PICTURE, check_picture, check_step, gap_of, ground_of
 from surffollow.errors import NotRunningError, ScanInputError, UsageError
 
 if TYPE_CHECKING:
@@ -92,7 +92,13 @@ def run_command(
     check_executable(planned)
     if way == "map" and map_file is None:
         raise click.UsageError("--way map needs --map: the map that the service is to have")
-    mapped = ground_of(map_file, None) if map_file is not None else None
+    gap = gap_of(planned)
+    mapped = ground_of(map_file, None, gap) if map_file is not None else None
+    if way == "map" and gap is not None:
+        from surffollow.map import HeightMap
+
+        # the service holds the heights in steps, also those of a raster
+        check_step(HeightMap.load(str(map_file)).quantum_m, gap, str(map_file))
     _show(planned, path, map_file, mapped, picture, unchecked)
     _confirm(yes)
     shaper = Shaper.zvd(vertical_mode, damping) if vertical_mode > 0.0 else None

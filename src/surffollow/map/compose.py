@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from surffollow.errors import UsageError
 from surffollow.map import access
 from surffollow.map.arguments import rounded_up
+from surffollow.map.disputed import noise_limit
 from surffollow.map.formats.atomic_file import Progress, report
 from surffollow.map.height_map import HeightMap
 from surffollow.map.kernels.geometry import fit_grids
+from surffollow.map.outlying_heights import refuse_outlying
 from surffollow.map.resample_areas import lattice_sums, overlap_lengths
 from surffollow.shm import map_layout as ml
 
@@ -92,10 +94,41 @@ def _fields(m: HeightMap, prior: bool) -> Any:
     return fetch
 
 
+class Composition(NamedTuple):
+    """The result of `composition`.
+
+    Attributes
+    ----------
+    whole : HeightMap
+    disputed : int     grids whose height is the highest one: the maps differ by more than their noise
+    """
+
+    whole: HeightMap
+    disputed: int
+
+
 def compose(
     maps: Sequence[HeightMap], *, grids: int | None = None, progress: Progress | None = None
 ) -> HeightMap:
-    """One map over all of several.
+    """One map over all of several; arguments and errors are those of `composition`.
+
+    Parameters
+    ----------
+    maps : sequence of HeightMap
+    grids : int             memory, at most 1e9
+    progress : callable     gets the finished fraction; returning False cancels
+
+    Returns
+    -------
+    HeightMap
+    """
+    return composition(maps, grids=grids, progress=progress).whole
+
+
+def composition(
+    maps: Sequence[HeightMap], *, grids: int | None = None, progress: Progress | None = None
+) -> Composition:
+    """One map over all of several, and how often they differ.
 
     Parameters
     ----------
@@ -106,14 +139,16 @@ def compose(
 
     Returns
     -------
-    HeightMap   a grid's height is the mean of the grids under it, weighted by overlap area and
+    Composition   a grid's height is the mean of the grids under it, weighted by overlap area and
     count; its count the samples expected in its area (at most 255). Priors fill grids that no map
-    sampled. Maps on one lattice compose without any resampling.
+    sampled. Maps on one lattice compose without any resampling. Where maps differ by more than their noise
+    explains (`disputed.noise_limit`), the height is that of the highest one: it may be an obstacle.
 
     Raises
     ------
     UsageError
-        no maps, maps too far apart for the finest grid, or more memory than is free
+        no maps, maps too far apart for the finest grid, more memory than is free, or a few heights so far
+        from all others that they would make the quantum coarse
     """
     if not maps:
         raise UsageError("compose needs at least one map")
@@ -127,31 +162,76 @@ def compose(
     ]
     heights = np.full((ny, nx), np.nan)
     counts = np.zeros((ny, nx), np.uint8)
+    highest = np.full((ny, nx), np.nan)
+    spread = np.full((ny, nx), np.nan)
     for first, last in access.row_blocks(ny, nx, 1 << 20):
         rows = (first, last)
-        total = np.zeros((2, last - first, nx))
-        prior = np.zeros((2, last - first, nx))
+        total = _Sums((last - first, nx))
+        prior = _Sums((last - first, nx))
         for m, (wy, wx) in zip(maps, weights):
             for into, is_prior in ((total, False), (prior, True)):
-                for into_part, part in zip(into, lattice_sums(wy, wx, rows, _fields(m, is_prior))):
-                    into_part += part
-        with np.errstate(invalid="ignore", divide="ignore"):
-            sampled = total[1] / total[0]
-            filled = prior[1] / prior[0]
-        heights[first:last] = np.where(total[0] > 0, sampled, filled)
+                into.add(lattice_sums(wy, wx, rows, _fields(m, is_prior)))
+        sampled = total.weight > 0
+        heights[first:last] = np.where(sampled, total.mean(), prior.mean())
+        highest[first:last] = np.where(sampled, total.highest, prior.highest)
+        spread[first:last] = np.where(sampled, total.spread(), prior.spread())
         counts[first:last] = np.where(
-            total[0] > 0, np.clip(np.floor(total[0] + 0.5), 1, ml.FULL_COUNT), 0
+            sampled, np.clip(np.floor(total.weight + 0.5), 1, ml.FULL_COUNT), 0
         ).astype(np.uint8)
         report(progress, last / ny)
+    disputed = _raise_disputed(heights, highest, spread, 2.0 * max(m.quantum_m for m in maps))
     known = heights[np.isfinite(heights)]
     span = float(np.ptp(known)) if known.size else 0.0
     quantum, needed = min(m.quantum_m for m in maps), span / (2 * ml.MAX_HEIGHT - 2)
     if quantum < needed:
         quantum = rounded_up(needed)  # the finest one cannot hold the heights of all maps
+        refuse_outlying(heights, (x0, y0), grid, quantum)
     datum = maps[0].datum_m if _fits(heights, maps[0].datum_m, quantum) else None
-    return HeightMap.from_heights(
+    whole = HeightMap.from_heights(
         heights, origin_m=(x0, y0), grid_m=grid, counts=counts, quantum_m=quantum, datum_m=datum
     )
+    return Composition(whole, disputed)
+
+
+class _Sums:
+    """Weighted sums of the maps over a block of grids, and the heights of the highest and lowest map."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.weight, self.weighted = np.zeros(shape), np.zeros(shape)
+        self.highest, self.lowest = np.full(shape, np.nan), np.full(shape, np.nan)
+        self.maps = np.zeros(shape, np.int32)
+
+    def add(self, sums: Sequence[NDArray[np.float64]]) -> None:
+        """Add one map's sums of weights and of weighted heights; none: it lies beside the block."""
+        if not sums:
+            return
+        weight, weighted = sums
+        self.weight += weight
+        self.weighted += weighted
+        with np.errstate(invalid="ignore", divide="ignore"):
+            own = np.where(weight > 0, weighted / weight, np.nan)
+        np.fmax(self.highest, own, out=self.highest)
+        np.fmin(self.lowest, own, out=self.lowest)
+        self.maps += weight > 0
+
+    def mean(self) -> NDArray[np.float64]:
+        """Mean heights; NaN where no map has a weight."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.weighted / self.weight)
+
+    def spread(self) -> NDArray[np.float64]:
+        """Highest minus lowest height [m]; NaN where fewer than two maps have a weight."""
+        return np.where(self.maps > 1, self.highest - self.lowest, np.nan)
+
+
+def _raise_disputed(
+    heights: NDArray[np.float64], highest: NDArray[np.float64], spread: NDArray[np.float64], step_m: float
+) -> int:
+    """Take the highest map's height where maps differ by more than their noise; the number of such grids."""
+    limit = noise_limit(spread[np.isfinite(spread)], step_m)
+    disputed = spread > limit  # false for NaN
+    heights[disputed] = highest[disputed]
+    return int(np.count_nonzero(disputed))
 
 
 def _fits(heights: NDArray[np.float64], datum_m: float, quantum_m: float) -> bool:

@@ -5,17 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map.formats.atomic_file import FilePath, Progress, report
 from surffollow.map.formats.npz import read_npz, write_npz
+from surffollow.map.formats.raster import Raster
 from surffollow.map.formats.text_file import OTHER_SUFFIXES, read_text, write_text
 from surffollow.map.header import numbers_fault
 from surffollow.shm import map_layout as ml
 
 PICTURES = (".png", ".svg", ".pdf")
 TEXTS = (".txt", ".map")
+RASTERS = (".asc", ".tif")
 EXPORTS = (*TEXTS, *OTHER_SUFFIXES)
 READS = "the map's text file, .npz, ESRI ASCII grid, GeoTIFF"
 
@@ -115,25 +118,58 @@ def load(path: FilePath, *, progress: Progress | None = None) -> tuple[NDArray[A
     suffix = _kind(path)
     if suffix == ".npz":
         return read_npz(path)
-    if suffix in (".asc", ".tif"):
-        from surffollow.map.formats.geotiff import read_geotiff
-        from surffollow.map.formats.raster import read_esri_ascii
+    raster = load_raster(path)
+    if raster is not None:
         from surffollow.map.from_heights import map_of_heights
 
-        read = read_esri_ascii if suffix == ".asc" else read_geotiff
-        heights, origin, grid = read(path)
-        fault = numbers_fault(grid, ml.DEFAULT_QUANTUM_M, x0_m=origin[0], y0_m=origin[1])
-        if fault:
-            raise MapFileError(f"{path} holds no usable map: {fault}")
+        heights, origin, grid = raster
         report(progress, 0.5)
-        try:
-            return map_of_heights(heights, origin_m=origin, grid_m=grid)
-        except UsageError as e:
-            raise MapFileError(
-                f"{path} holds heights that no map can: {e}; a value for unknown cells must be the one that "
-                "the file declares as NODATA"
-            ) from e
+        return map_of_heights(heights, origin_m=origin, grid_m=grid)
     return read_text(path, progress=progress)
+
+
+def load_raster(path: FilePath) -> Raster | None:
+    """Read an ESRI ASCII grid or GeoTIFF in full precision, which a map's quantum would round.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    (heights_m, origin_m, grid_m)   (ny, nx) float64 [m], NaN unknown, rows ascending in y; outer corner of
+    heights_m[0, 0] and side of a cell [m]. None: the file is of another format
+
+    Raises
+    ------
+    MapFileError
+        what `load` refuses of a raster
+    """
+    suffix = _kind(path)
+    if suffix not in RASTERS:
+        return None
+    from surffollow.map.formats.geotiff import read_geotiff
+    from surffollow.map.formats.raster import read_esri_ascii
+    from surffollow.map.outlying_heights import needed_quantum, refuse_outlying
+
+    heights, origin, grid = (read_esri_ascii if suffix == ".asc" else read_geotiff)(path)
+    fault = numbers_fault(grid, ml.DEFAULT_QUANTUM_M, x0_m=origin[0], y0_m=origin[1])
+    if fault:
+        raise MapFileError(f"{path} holds no usable map: {fault}")
+    heights = np.where(np.isfinite(heights), heights, np.nan)
+    known = np.isfinite(heights)
+    low, high = (float(heights[known].min()), float(heights[known].max())) if known.any() else (0.0, 0.0)
+    fault = numbers_fault(grid, ml.DEFAULT_QUANTUM_M, lowest_m=low, highest_m=high)
+    if fault:
+        raise MapFileError(
+            f"{path} holds heights that no map can: {fault}; a value for unknown cells must be the one that "
+            "the file declares as NODATA"
+        )
+    try:
+        refuse_outlying(heights, origin, grid, needed_quantum(low, high))
+    except UsageError as e:
+        raise MapFileError(f"{path}: {e}") from e
+    return heights, origin, grid
 
 
 # how files begin → what they are; a suffix in capitals says nothing to a reader

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import UsageError
 from surffollow.map import access
-from surffollow.map.arguments import check_answer, real_numbers, rounded_up
+from surffollow.map.arguments import check_answer, real_numbers
 from surffollow.map.header import init_header, numbers_fault
 from surffollow.map.kernels.install import install_begin, install_end
+from surffollow.map.outlying_heights import needed_quantum, refuse_outlying
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.units import real_number
@@ -58,7 +59,8 @@ def map_of_heights(
     if fault:
         raise UsageError(fault)
     if quantum_m is None:
-        quantum_m = max(ml.DEFAULT_QUANTUM_M, rounded_up((high - low) / (2 * ml.MAX_HEIGHT - 2)))
+        quantum_m = needed_quantum(low, high)
+        refuse_outlying(z, corner.tolist(), grid_m, quantum_m)
     if datum_m is None:
         datum_m = math.floor((low + high) / 2 / quantum_m + 0.5) * quantum_m
     scaled = np.floor((np.where(known, z, datum_m) - datum_m) / quantum_m + 0.5)

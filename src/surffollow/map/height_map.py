@@ -141,7 +141,8 @@ class HeightMap(MapView):
         Raises
         ------
         UsageError
-            the heights do not fit the range of `quantum_m`, or an array has the wrong shape or type
+            the heights do not fit the range of `quantum_m`; without it, a few are so far from all others
+            that they would make it coarse; or an array has the wrong shape or type
 
         Examples
         --------

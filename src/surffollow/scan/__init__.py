@@ -35,7 +35,7 @@ _HOME = {
     "clear_ground": "clearance",
     "cloud_patches": "patches_of_clouds",
     "coherent_patches": "patches",
-    "compose_stations": "terrain",
+    "compose_stations": "composing",
     "conditional_planar_filter": "planar_filter",
     "disagreement": "offset_surface",
     "disc": "body",

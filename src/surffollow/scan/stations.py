@@ -15,6 +15,7 @@ from surffollow.errors import MapFileError, ScanFileError, ScanInputError
 from surffollow.scan.camera import rigid_transform
 from surffollow.scan.checks import Floats, plain_file
 from surffollow.scan.grid import MEASURED, TerrainGrid
+from surffollow.scan.map_file import read_ground
 from surffollow.scan.surface_lookup import sample_surface
 
 POSE_KEYS = ("common_from_station", "x_m", "y_m", "z_m", "heading_deg")
@@ -50,8 +51,6 @@ def read_stations(path: str | os.PathLike[str]) -> list[Station]:
     """
     import msgspec
 
-    from surffollow.map import HeightMap
-
     plain_file(path)
     try:
         table: dict[str, Any] = msgspec.toml.decode(Path(path).read_bytes())
@@ -65,7 +64,7 @@ def read_stations(path: str | os.PathLike[str]) -> list[Station]:
         matrix = _pose(str(path), name, pose)
         plain_file(Path(path).parent / name)
         try:
-            ground = TerrainGrid.from_map(HeightMap.load(Path(path).parent / name))
+            ground = read_ground(Path(path).parent / name)[0]
         except (MapFileError, OSError) as e:
             raise ScanFileError(f"{path}, station {name}: {e}") from e
         made.append(Station(name, ground, matrix))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import ScanInputError
+from surffollow.scan.cell_obstacles import cell_obstacles
 from surffollow.scan.checks import Floats
 from surffollow.scan.grid import CELL_NAMES, UNKNOWN, TerrainGrid
 from surffollow.scan.image_files import DepthImage
@@ -25,7 +26,7 @@ from surffollow.scan.patches import (
 from surffollow.scan.planar_filter import conditional_planar_filter
 from surffollow.scan.planar_kernels import PLANAR, ROUGH
 from surffollow.scan.seen_beneath import LowestSeen, hidden_points
-from surffollow.scan.terrain import terrain_map
+from surffollow.scan.terrain import corner_of, terrain_map
 
 FILTERS = ("cpf", "cpf-fast", "gaussian", "median", "none")
 
@@ -88,7 +89,7 @@ def survey(
     Returns
     -------
     TerrainGrid, and a report: per image the patches and pixels kept and dropped by criterion, and the unknown
-    cells beneath dropped ones (`covered`)
+    cells beneath dropped ones (`covered`); points that were left out, by reason
 
     Raises
     ------
@@ -102,10 +103,14 @@ def survey(
     >>> cloud_m = np.column_stack([x_m.ravel(), y_m.ravel(), 0.1 * x_m.ravel()])
     >>> ground, report = survey([], [cloud_m], SurveySettings(grid_m=0.05))
     >>> round(float(ground.heights_m[10, 10]), 2), sorted(report)
-    (0.05, ['cells', 'covered', 'images', 'points'])
+    (0.05, ['cells', 'covered', 'images', 'left_out', 'points'])
     """
     if not images and not clouds:
         raise ScanInputError("no image and no cloud; give at least one")
+    finite = [np.asarray(c)[np.isfinite(c).all(axis=1)] for c in clouds]
+    lost, clouds = sum(map(len, clouds)) - sum(map(len, finite)), finite
+    if lost and not images and not sum(map(len, clouds)):
+        raise ScanInputError(f"none of the {lost} points is finite; a terrain map needs at least one")
     seen = _seen(images, clouds, settings)
     points, weights, raised, above, per_image = [], [], [], [], []
     for k, image in enumerate(images):
@@ -124,7 +129,11 @@ def survey(
     if not points or not sum(map(len, points)):
         raise ScanInputError("no pixel of the images can be terrain; see the counts of dropped patches")
     merged = np.vstack(points)
-    use = ~hidden_points(merged, np.concatenate(raised), settings.grid_m, settings.support_m)
+    corner = corner_of(merged, settings.grid_m, settings.region)
+    levels = cell_obstacles(merged, corner, settings.grid_m, settings.support_m)
+    obstacle = (np.concatenate(raised) | levels.upper) & ~levels.specks
+    beneath = levels.hidden | hidden_points(merged, obstacle, settings.grid_m, settings.support_m)
+    use = ~(beneath | levels.specks)
     ground = terrain_map(
         merged[use],
         settings.grid_m,
@@ -133,11 +142,17 @@ def survey(
         average_m=settings.average_m,
         fill_m=settings.fill_m,
         above_m=np.vstack(above) if above else None,
+        raised_m=merged[obstacle & use],
     )
     counts = {name: int(np.count_nonzero(ground.cells == k)) for k, name in enumerate(CELL_NAMES)}
     covered = _unknown_beneath(ground, np.vstack(above)) if above else 0
     report = {"images": per_image, "points": int(sum(map(len, points))), "cells": counts}
-    return ground, report | {"covered": covered}
+    left_out = {
+        "not_finite": lost,
+        "specks": int(levels.specks.sum()),
+        "beneath_obstacles": int(beneath.sum()),
+    }
+    return ground, report | {"left_out": left_out, "covered": covered}
 
 
 @dataclass(frozen=True)

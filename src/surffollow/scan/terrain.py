@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import label, maximum_filter
+from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import Delaunay, QhullError
 
 from surffollow.errors import ScanInputError
@@ -31,6 +31,7 @@ def terrain_map(
     average_m: float | None = None,
     fill_m: float | None = None,
     above_m: ArrayLike | None = None,
+    raised_m: ArrayLike | None = None,
 ) -> TerrainGrid:
     """A uniform height map of scattered points.
 
@@ -52,6 +53,8 @@ def terrain_map(
     above_m : (k, 3) float [m]
         what was seen and is no terrain. Beneath it, holes wider than 3 cells stay unknown, as it may stand
         there. inf as height: of unknown height
+    raised_m : (k, 3) float [m]
+        points of obstacles. No cell with some of them is lower than the highest of them
 
     Returns
     -------
@@ -66,7 +69,8 @@ def terrain_map(
     Notes
     -----
     Averages stand at the weighted mean place of their points, so that a plane keeps its height at every
-    cell. Cells that hold a point outside every triangle take the mean of their points.
+    cell. Cells that hold a point outside every triangle take the mean of their points. So do cells at the
+    top of an edge steeper than 45°, where it is higher: triangles to the ground beside would cut them down.
 
     Examples
     --------
@@ -105,12 +109,14 @@ def terrain_map(
     lay_triangles(cells, triangles, fill / g, False, np.ones((rows, cols), np.bool_), z)
     flags[np.isfinite(z)] = FILLED
     own = nodes if side == g else averages(points, w, (x0, y0), g)
-    row, col = _cell_of(own, (x0, y0), g)
+    row, col = cell_of(own, (x0, y0), g)
     inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
     row, col, height = row[inside], col[inside], own[inside, 2]
-    alone = np.isnan(z[row, col])
+    alone = np.isnan(z[row, col]) | ((height > z[row, col]) & _edges(row, col, height, z.shape, g))
     z[row[alone], col[alone]] = height[alone]
     flags[row, col] = MEASURED
+    if raised_m is not None:
+        _raise(real_array("raised_m", raised_m, (None, 3)), z, flags, (x0, y0), g)
     if above_m is not None:
         above = real_array("above_m", above_m, (None, 3))
         covered = _covered(above[~np.isnan(above).any(axis=1)], z, flags, (x0, y0), g)
@@ -121,12 +127,37 @@ def terrain_map(
     return TerrainGrid(z, (x0, y0), g, flags)
 
 
+def _edges(
+    row: NDArray[np.int64], col: NDArray[np.int64], height: Floats, shape: tuple[int, int], g: float
+) -> NDArray[np.bool_]:
+    """(m,) bool: cells more than their side above one of the eight around."""
+    own = np.full(shape, np.inf)
+    own[row, col] = height
+    return np.asarray(height > minimum_filter(own, size=3, mode="nearest")[row, col] + g)
+
+
+def _raise(
+    raised: Floats, z: Floats, flags: NDArray[np.uint8], origin_m: tuple[float, float], g: float
+) -> None:
+    """Make cells at least as high as obstacles in them: slopes to the ground beside would cut these down."""
+    row, col = cell_of(raised, origin_m, g)
+    inside = (row >= 0) & (row < z.shape[0]) & (col >= 0) & (col < z.shape[1])
+    row, col = row[inside], col[inside]
+    np.fmax.at(z, (row, col), raised[inside, 2])
+    flags[row, col] = MEASURED
+
+
+def corner_of(points: Floats, grid_m: float, region: Sequence[float] | None) -> tuple[float, float]:
+    """x, y [m] of the corner of the grid that `terrain_map` makes of finite points (n, 3)."""
+    return region_of(region)[:2] if region is not None else _around(points, grid_m)[:2]
+
+
 def _covered(
     above: Floats, z: Floats, flags: NDArray[np.uint8], origin_m: tuple[float, float], g: float
 ) -> NDArray[np.bool_]:
     """(rows, cols) bool: filled cells with a point above, more than a cell higher than the eight around."""
     highest = maximum_filter(np.where(np.isfinite(z), z, -np.inf), size=3, mode="nearest")
-    row, col = _cell_of(above, origin_m, g)
+    row, col = cell_of(above, origin_m, g)
     inside = (row >= 0) & (row < z.shape[0]) & (col >= 0) & (col < z.shape[1])
     row, col, height = row[inside], col[inside], above[inside, 2]
     higher = (flags[row, col] == FILLED) & (height > highest[row, col] + g)
@@ -145,7 +176,7 @@ def averages(points: Floats, weights: Floats, origin_m: tuple[float, float], sid
     origin_m : (x, y) [m]  corner of a square
     side_m : float [m]     side of the squares
     """
-    row, col = _cell_of(points, origin_m, side_m)
+    row, col = cell_of(points, origin_m, side_m)
     number = (row - row.min()) * (int(col.max() - col.min()) + 1) + (col - col.min())
     order = np.argsort(number, kind="stable")
     first = np.flatnonzero(np.r_[True, np.diff(number[order]) != 0])
@@ -170,64 +201,6 @@ def delaunay(xy: Floats) -> NDArray[np.int32]:
         return np.empty((0, 3), np.int32)
 
 
-def compose_stations(
-    stations: Sequence[tuple[TerrainGrid, ArrayLike]],
-    grid_m: float,
-    *,
-    region: Sequence[float] | None = None,
-    fill_m: float | None = None,
-) -> TerrainGrid:
-    """One map of several local ones, each with the pose of its station.
-
-    Parameters
-    ----------
-    stations : [(grid, common_from_station), …]
-        local map and (4, 4) pose of its frame in the common one
-    grid_m, region, fill_m
-        as `terrain_map`
-
-    Returns
-    -------
-    TerrainGrid
-        measured cells of all stations averaged where they overlap, holes filled anew. What a station left
-        unknown amid known ground stays unknown unless another station measured it: it may be an obstacle
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from surffollow.scan import TerrainGrid, compose_stations
-    >>> local = TerrainGrid.of(np.zeros((4, 4)), grid_m=0.1)
-    >>> moved = np.eye(4)
-    >>> moved[:3, 3] = 0.4, 0.0, 0.5                          # place of the second station [m]
-    >>> ground = compose_stations([(local, np.eye(4)), (local, moved)], 0.1)
-    >>> np.round(ground.heights_m[1], 3) + 0.0
-    array([0. , 0. , 0. , 0. , 0.5, 0.5, 0.5, 0.5])
-    """
-    from surffollow.scan.camera import rigid_transform
-
-    if not stations:
-        raise ScanInputError("no station to compose; give at least one map")
-    parts, left = [], []
-    for grid, pose in stations:
-        m = rigid_transform(pose)
-        x, y = grid.centres_m()
-        row, col = np.nonzero(grid.cells == MEASURED)
-        local = np.column_stack([x[col], y[row], grid.heights_m[row, col]])
-        parts.append(local @ m[:3, :3].T + m[:3, 3])
-        row, col = np.nonzero(_enclosed(grid.cells == UNKNOWN))
-        height = float(local[:, 2].mean()) if len(local) else 0.0
-        hole = np.column_stack([x[col], y[row], np.full(len(row), height)]) @ m[:3, :3].T + m[:3, 3]
-        left.append(np.column_stack([hole[:, :2], np.full(len(row), np.inf)]))
-    return terrain_map(np.vstack(parts), grid_m, region=region, fill_m=fill_m, above_m=np.vstack(left))
-
-
-def _enclosed(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(rows, cols) bool: the parts of unknown cells that do not touch the edge of the grid."""
-    parts, _ = label(unknown)
-    edge = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
-    return np.asarray(unknown & ~np.isin(parts, edge))
-
-
 def _points(points_m: ArrayLike, weights: ArrayLike | None) -> tuple[Floats, Floats]:
     points = real_array("points_m", points_m, (None, 3))
     w = np.ones(len(points)) if weights is None else real_array("weights", weights, (len(points),))
@@ -246,7 +219,7 @@ def _around(points: Floats, g: float) -> tuple[float, float, float, float]:
     return x0, y0, x1, y1
 
 
-def _cell_of(points: Floats, origin_m: tuple[float, float], side_m: float) -> tuple[Any, Any]:
+def cell_of(points: Floats, origin_m: tuple[float, float], side_m: float) -> tuple[Any, Any]:
     col = np.floor((points[:, 0] - origin_m[0]) / side_m + 1e-9).astype(np.int64)
     row = np.floor((points[:, 1] - origin_m[1]) / side_m + 1e-9).astype(np.int64)
     return row, col
