@@ -247,6 +247,7 @@ def test_the_checker_imports_nothing_of_the_planner():
 
 
 @pytest.mark.parametrize(
+        "surffollow.scan.check_raster",
     "text", ["", "x,y\n1,2\n", "# format = 3\n", '# format = "surffollow-scan-path-1"\n']
 )
 def test_files_that_are_no_paths_are_refused(tmp_path, text):

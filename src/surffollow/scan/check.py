@@ -88,9 +88,10 @@ def check_path(
         check_unknown_ground(*place, every, len(rows.flags), facts),
         _wrist(axes, rows.azimuth, facts.wrist, rotations(inner.quaternion), inner.azimuth),
         _reach(rows.flags, rows.passes),
-        *check_motion(at["t_s"], rows.position, axes[:, :, 2], facts),
-        check_coverage(*place, every, facts.swath, facts.region),
-        check_swath(grid_m, rows, every, facts.swath, facts.body, facts.region),
+        *check_motion(at["t_s"], rows.position, rows.quaternion, axes[:, :, 2], facts),
+        check_rest(at["t_s"], rows.position, rows.flags, facts),
+        check_coverage(*place, rows, facts.swath, facts.region),
+        check_swath(*place, rows, facts.swath, facts.body, facts.region),
     ]
 
 
