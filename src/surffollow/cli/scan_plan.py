@@ -34,6 +34,7 @@ REMEDIES = {
     "speed": _SLOWER,
     "climb": _SLOWER,
     "tilt_rate": _SLOWER,
+    "turn_rate": _SLOWER,
     "acceleration": _SLOWER,
     "lateral": _SLOWER,
     "unplanned": "or map more ground around the region",
