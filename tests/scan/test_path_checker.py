@@ -221,9 +221,14 @@ def test_unknown_ground_is_flagged_and_its_silence_is_found(tmp_path):
     assert "unknown_beneath" not in failed(ground, file)
     # the plan says as many as the checker
     flagged = np.count_nonzero(plan.has(UNKNOWN_BENEATH))
-    assert f"0 samples over unknown ground are not flagged ({flagged} are), and 0 poses between" in [
-        f.text for f in check_path(ground.heights_m, ground.origin_m, ground.grid_m, file)
-    ]
+    expected = f"0 samples over unknown ground are not flagged ({flagged} are), and 0 poses between"
+    place = (ground.heights_m, ground.origin_m, ground.grid_m)
+    [found] = [f for f in check_path(*place, file) if f.name == "unknown_beneath"]
+    assert found.text.startswith(expected)
+    of_passes = np.count_nonzero(plan.has(UNKNOWN_BENEATH) & (plan.passes >= 0))
+    assert found.ok
+    assert found.warning
+    assert f"{of_passes} samples of passes are over unknown ground" in found.text
     lines = file.read_text().splitlines()
     quiet = [x if x[0] in "#t" else ",".join([*x.split(",")[:-1], "0"]) for x in lines]
     file.write_text("\n".join(quiet) + "\n")
@@ -242,12 +247,12 @@ def test_the_checker_imports_nothing_of_the_planner():
         "surffollow.scan.check_finding",
         "surffollow.scan.check_motion",
         "surffollow.scan.check_placement",
+        "surffollow.scan.check_raster",
         "surffollow.scan.check_underside",
     }
 
 
 @pytest.mark.parametrize(
-        "surffollow.scan.check_raster",
     "text", ["", "x,y\n1,2\n", "# format = 3\n", '# format = "surffollow-scan-path-1"\n']
 )
 def test_files_that_are_no_paths_are_refused(tmp_path, text):
