@@ -12,8 +12,9 @@ from surffollow.scan.check_file import Array, Poses
 from surffollow.shm.jit import jit
 
 CELLS_ACROSS_SWATH = 8
-SPARE = 0.01  # of a swath: an arc's chords lie inside it, and places are rounded
-MIN_CELLS_ACROSS = 64  # of the region, whatever the swath
+ROUNDING_M, ROUNDING = 1e-6, 1e-3  # of places, at most this part of a swath
+MOST_SAGITTA = 0.01  # of a swath: an arc's chords lie inside it
+MIN_CELLS_ACROSS = 128  # of the region, whatever the swath
 BAND_CELLS = 4_000_000  # that are in memory at a time
 MAX_CELLS = 2_000_000_000  # that are looked at: more take too long
 
@@ -67,12 +68,13 @@ def covered(
         return Covered(0, 0, 0, 0, _most_part(ways, swath, region))
     counts = np.zeros(4, np.int64)
     sides = (float(extent[0]) / nx, float(extent[1]) / ny)
+    reach = 0.5 * swath + min(ROUNDING_M, ROUNDING * swath) + min(_sagitta(ways), MOST_SAGITTA * swath)
     height = max(1, BAND_CELLS // nx)
     corners, place = region - low, (float(origin[0] - low[0]), float(origin[1] - low[1]), float(g))
     ways = ways - np.tile(low, 2)
     for first in range(0, ny, height):
         band = np.zeros((min(height, ny - first), nx), np.bool_)
-        _mark(ways, (0.5 + SPARE) * swath, *sides, first, band)
+        _mark(ways, reach, *sides, first, band)
         _count(band, *sides, first, corners, np.ascontiguousarray(z, np.float64), *place, counts)
     cells, seen, missed, unknown = (int(n) for n in counts)
     return Covered(cells, seen, missed, unknown, seen / cells if cells else 0.0)
@@ -86,6 +88,16 @@ def _ways(rows: Poses) -> Array:
     joined = on[after] & (rows.passes[after] == rows.passes[at])
     xy = rows.position[:, :2]
     return np.hstack([xy[at], np.where(joined[:, None], xy[after], xy[at])])
+
+
+def _sagitta(ways: Array) -> float:
+    """Most that a smooth line through the ends of ways (k, 4) is beside a way [m], from their bends."""
+    step = ways[:, 2:] - ways[:, :2]
+    a, b = step[:-1], step[1:]
+    bend = np.arctan2(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), (a * b).sum(axis=1))
+    length = np.maximum(np.hypot(*a.T), np.hypot(*b.T))
+    joined = (ways[1:, :2] == ways[:-1, 2:]).all(axis=1) & (np.hypot(*b.T) > 0.0)
+    return 0.25 * float((length * bend)[joined].max(initial=0.0))
 
 
 def _most_part(ways: Array, swath: float, region: Array) -> float:

@@ -236,18 +236,19 @@ def _distance(
 def _ground(z: Any, u: Any, v: Any) -> float:
     """Height [m] of the ground at column u and row v (corners of cells at whole numbers); NaN: unknown.
 
-    Ground is known at the centres of cells, and bilinear between four of them. Beside unknown cells and at
-    the edge of the map a cell is as high as its centre.
+    Ground is known at the centres of cells, and bilinear between four of them. Beyond the outermost centres
+    it goes on level; beside unknown cells a cell is as high as its centre.
     """
     rows, cols = z.shape
     if not (0.0 <= u <= cols and 0.0 <= v <= rows):
         return math.nan
-    j, i = math.floor(u - 0.5), math.floor(v - 0.5)
-    if 0 <= i < rows - 1 and 0 <= j < cols - 1:
-        s, t = u - 0.5 - j, v - 0.5 - i
-        near, far = z[i, j] * (1.0 - s) + z[i, j + 1] * s, z[i + 1, j] * (1.0 - s) + z[i + 1, j + 1] * s
-        if math.isfinite(near + far):
-            return near * (1.0 - t) + far * t  # type: ignore[no-any-return]
+    s, t = min(max(u - 0.5, 0.0), cols - 1.0), min(max(v - 0.5, 0.0), rows - 1.0)
+    j, i = int(s), int(t)
+    right, top = min(j + 1, cols - 1), min(i + 1, rows - 1)
+    s, t = s - j, t - i
+    near, far = z[i, j] * (1.0 - s) + z[i, right] * s, z[top, j] * (1.0 - s) + z[top, right] * s
+    if math.isfinite(near + far):
+        return near * (1.0 - t) + far * t  # type: ignore[no-any-return]
     return z[min(int(v), rows - 1), min(int(u), cols - 1)]  # type: ignore[no-any-return]
 
 
