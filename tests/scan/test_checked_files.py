@@ -11,20 +11,15 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from scan.sample_ground import GRID, ground_of
-from scan.test_path_checker import failed, plan_of, table_of, write_table
+from scan.written_paths import failed, findings_of, plan_of, table_of, write_table
 from surffollow.cli.scan import scan_group
 from surffollow.errors import ScanFileError
 from surffollow.scan import TerrainGrid, disc, parse_body
-from surffollow.scan.check import check_path
 from surffollow.scan.limits import Annulus, WristLimits
 from surffollow.scan.path import STOP, UNKNOWN_BENEATH
 from surffollow.scan.path_file import read_path, write_path
 from surffollow.scan.shaping import Shaper
 from surffollow.scan.timing import MotionLimits
-
-
-def findings_of(ground, file):
-    return {f.name: f for f in check_path(ground.heights_m, ground.origin_m, ground.grid_m, file)}
 
 
 def changed_column(file, name, change, row=None):
