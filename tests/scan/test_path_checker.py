@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from scan.sample_ground import GRID, ground_of
+from scan.written_paths import failed, plan_of, table_of, write_table
 from surffollow.apps.scan_robot_config import check_executable
 from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.scan import TerrainGrid, disc
@@ -16,21 +17,6 @@ from surffollow.scan.check import check_path
 from surffollow.scan.path import OUT_OF_REACH, UNKNOWN_BENEATH
 from surffollow.scan.path_file import read_path, write_path
 from surffollow.scan.plan import PlanSettings, plan_figures, plan_scan
-
-
-def plan_of(tmp_path, ground, **options):
-    settings = PlanSettings(
-        **({"region": (0.3, 0.3, 0.9, 0.9), "gap_m": 0.05, "body_m": disc(0.08)} | options)
-    )
-    plan = plan_scan(ground, settings)
-    file = tmp_path / "path.csv"
-    write_path(file, plan)
-    return plan, file
-
-
-def failed(ground, file):
-    found = check_path(ground.heights_m, ground.origin_m, ground.grid_m, file)
-    return {f.name for f in found if not f.ok}
 
 
 @pytest.mark.parametrize(
@@ -115,17 +101,6 @@ def test_the_checker_finds_missing_passes_and_speed_and_wrist_beyond_their_limit
         lines = [f"# {fact} = {value}" if x.startswith(f"# {fact} =") else x for x in text.splitlines()]
         file.write_text("\n".join(lines) + "\n")
         assert finding in failed(ground, file), finding
-
-
-def table_of(file):
-    """Lines before the table, its names, its rows."""
-    lines = file.read_text().splitlines()
-    head = next(k for k, line in enumerate(lines) if not line.startswith("#"))
-    return lines[:head], lines[head].split(","), [line.split(",") for line in lines[head + 1 :]]
-
-
-def write_table(file, facts, names, rows):
-    file.write_text("\n".join([*facts, ",".join(names), *(",".join(r) for r in rows)]) + "\n")
 
 
 def wall(n=120):
@@ -221,9 +196,14 @@ def test_unknown_ground_is_flagged_and_its_silence_is_found(tmp_path):
     assert "unknown_beneath" not in failed(ground, file)
     # the plan says as many as the checker
     flagged = np.count_nonzero(plan.has(UNKNOWN_BENEATH))
-    assert f"0 samples over unknown ground are not flagged ({flagged} are), and 0 poses between" in [
-        f.text for f in check_path(ground.heights_m, ground.origin_m, ground.grid_m, file)
-    ]
+    expected = f"0 samples over unknown ground are not flagged ({flagged} are), and 0 poses between"
+    place = (ground.heights_m, ground.origin_m, ground.grid_m)
+    [found] = [f for f in check_path(*place, file) if f.name == "unknown_beneath"]
+    assert found.text.startswith(expected)
+    of_passes = np.count_nonzero(plan.has(UNKNOWN_BENEATH) & (plan.passes >= 0))
+    assert found.ok
+    assert found.warning
+    assert f"{of_passes} samples of passes are over unknown ground" in found.text
     lines = file.read_text().splitlines()
     quiet = [x if x[0] in "#t" else ",".join([*x.split(",")[:-1], "0"]) for x in lines]
     file.write_text("\n".join(quiet) + "\n")
@@ -242,6 +222,7 @@ def test_the_checker_imports_nothing_of_the_planner():
         "surffollow.scan.check_finding",
         "surffollow.scan.check_motion",
         "surffollow.scan.check_placement",
+        "surffollow.scan.check_raster",
         "surffollow.scan.check_underside",
     }
 

@@ -142,7 +142,7 @@ def test_a_region_beside_a_map_far_from_the_origin_is_refused_with_all_digits():
 def test_a_point_beside_the_map_is_below_no_ground_but_one_over_it_is(tmp_path):
     ground = TerrainGrid.of(np.full((20, 20), 1.0), grid_m=0.1)
     none, on = np.zeros(1, np.int64), np.array([[0.0, 0.0, 0.0, 1.0]])
-    facts = Facts(np.zeros((1, 3)), np.zeros((3, 2)), [0.0] * 4, 0.05, 0.1, 1.0, 1.0, 1.0, 1.0, 1.0)
+    facts = Facts(np.zeros((1, 3)), np.zeros((3, 2)), [0.0] * 4, 0.05, 0.1, 1.0, 1.0, 1.0, 1.0, 1.0, 1)
     for x, least_m in ((-0.05, math.hypot(0.1, 0.1)), (0.05, -0.1)):
         rows = Poses(np.array([[x, 1.05, 0.9]]), on, np.zeros(1), none, none)
         found = check_clearance(ground.heights_m, (0.0, 0.0), 0.1, rows, facts, np.array([least_m]))

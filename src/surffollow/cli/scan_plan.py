@@ -35,6 +35,7 @@ REMEDIES = {
     "speed": _SLOWER,
     "climb": _SLOWER,
     "tilt_rate": _SLOWER,
+    "turn_rate": _SLOWER,
     "acceleration": _SLOWER,
     "lateral": _SLOWER,
     "unplanned": "or map more ground around the region",
@@ -162,8 +163,15 @@ def plan_command(
     warning = swath_warning(plan)
     if warning:
         click.echo(f"warning: {warning}", err=True)
-    print_facts({"path": output} | plan_figures(plan), as_json)
-    refused = [f for f in check_path(ground.heights_m, ground.origin_m, ground.grid_m, output) if not f.ok]
+    findings = check_path(ground.heights_m, ground.origin_m, ground.grid_m, output)
+    warned = [f for f in findings if f.ok and f.warning]
+    for f in warned:
+        if f.name != "swath":  # the planner's own warning says more
+            click.echo(f"warning: {f.name}: {f.text}", err=True)
+    names = [f.name for f in warned]
+    said = {"warnings": names if as_json else ", ".join(names) or "none"}
+    print_facts({"path": output} | plan_figures(plan) | said, as_json)
+    refused = [f for f in findings if not f.ok]
     for f in refused:
         remedy = REMEDIES.get(f.name, "report this plan as a fault of the planner")
         click.echo(f"error: scan check refuses {output}: {f.name}: {f.text}; {remedy}", err=True)
@@ -176,11 +184,12 @@ def plan_command(
 @LIVE
 @JSON
 def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> None:
-    """Check a path file against MAP: clearance, flags, limits, coverage. Exit code 1: not accepted.
+    """Check a path file against MAP: clearance, flags, attitude, limits, coverage. Exit code 1: not accepted.
 
     Speeds and turn rates may exceed their limits by 2 %, accelerations by 10 %: they are quotients of
     rounded rows.
-    A swath that is wider than the body is a warning: it is the sensor's width then.
+    A swath that is wider than the body is a warning: it is the sensor's width then. Passes over unknown
+    ground are a warning, too. Warnings do not change the exit code.
     """
     from surffollow.scan.check import check_path
     from surffollow.scan.path_file import read_path

@@ -21,12 +21,12 @@ from surffollow.scan.check_clearance import (
     unknown_centres,
 )
 from surffollow.scan.check_coverage import check_coverage, check_swath
-from surffollow.scan.check_file import Array, Facts, Poses, between, read_rows
+from surffollow.scan.check_file import Array, Facts, Poses, between, check_rows, read_rows
 from surffollow.scan.check_finding import Finding
-from surffollow.scan.check_motion import check_motion
+from surffollow.scan.check_motion import check_motion, check_rest
 from surffollow.scan.check_placement import rotations
 
-ANGLE_SPARE_RAD = 1e-6
+ANGLE_SPARE_RAD = ATTITUDE_SPARE = 1e-6
 CHORD_RAD = 0.01  # angles, mixed linearly between rows, leave their limits by less
 OUT_OF_REACH, WRIST_LIMIT = 64, 8
 
@@ -79,27 +79,26 @@ def check_path(
         np.append(rows.flags, inner.flags),
         np.append(rows.passes, inner.passes),
     )
-    normal = np.column_stack([at["nx"], at["ny"], at["nz"]])
     place = (heights_m, origin_m, grid_m)
     return [
-        *_rows(at, axes, normal, rows.planned, rows.flags),
+        check_rows(len(rows.flags), facts),
+        *_rows(at, axes, rows, facts),
         _without_height(*place, rows, facts),
         *check_clearance(*place, rows, facts, at["clearance_m"]),
         check_unknown_ground(*place, every, len(rows.flags), facts),
         _wrist(axes, rows.azimuth, facts.wrist, rotations(inner.quaternion), inner.azimuth),
         _reach(rows.flags, rows.passes),
-        *check_motion(at["t_s"], rows.position, axes[:, :, 2], facts),
-        check_coverage(*place, every, facts.swath, facts.region),
-        check_swath(grid_m, rows, every, facts.swath, facts.body, facts.region),
+        *check_motion(at["t_s"], rows.position, rows.quaternion, axes[:, :, 2], facts),
+        check_rest(at["t_s"], rows.position, rows.flags, facts),
+        check_coverage(*place, rows, facts.swath, facts.region),
+        check_swath(*place, rows, facts.swath, facts.body, facts.region),
     ]
 
 
-def _rows(
-    at: dict[str, Array], axes: Array, normal: Array, planned: NDArray[np.bool_], flags: NDArray[np.int64]
-) -> list[Finding]:
+def _rows(at: dict[str, Array], axes: Array, rows: Poses, facts: Facts) -> list[Finding]:
+    planned, flags = rows.planned, rows.flags
     dt = np.diff(at["t_s"])
     rising = bool(np.isfinite(at["t_s"]).all() and (dt > 0.0).all())
-    off = float(np.abs(axes[:, :, 2] - normal).max())
     bare = int(np.count_nonzero(~planned))
     silent = int(np.count_nonzero(~planned & (flags & UNKNOWN_BENEATH == 0)))
     text = f"{bare} samples have no height, {silent} of them without a flag that says why"
@@ -107,9 +106,27 @@ def _rows(
         text += "; plan a smaller region, or fill holes of the map (scan plan --fill)"
     return [
         Finding("time", rising, "times are finite and ascend" if rising else "times do not ascend"),
-        Finding("pose", off < 1e-6, f"quaternion and normal differ by at most {off:.2g}", off),
+        _attitude(np.column_stack([at["nx"], at["ny"], at["nz"]]), axes, rows),
         Finding("unplanned", bare == 0, text, bare),
     ]
+
+
+def _attitude(normal: Array, axes: Array, rows: Poses) -> Finding:
+    """The quaternion, of length 1 and near that of the row before, is the attitude of normal and azimuth.
+
+    The body's x axis is normal to its z axis, in the vertical plane at the azimuth.
+    """
+    c, s = np.cos(rows.azimuth), np.sin(rows.azimuth)
+    ahead, up = c * normal[:, 0] + s * normal[:, 1], normal[:, 2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        first = np.column_stack([c * up, s * up, -ahead]) / np.hypot(ahead, up)[:, None]
+    length = np.abs(np.linalg.norm(rows.quaternion, axis=1) - 1.0)
+    off = float(max(np.abs(axes[:, :, 2] - normal).max(), np.abs(axes[:, :, 0] - first).max(), length.max()))
+    away = int(np.count_nonzero((rows.quaternion[1:] * rows.quaternion[:-1]).sum(axis=1) < -ATTITUDE_SPARE))
+    text = f"quaternion and attitude of normal and azimuth differ by at most {off:.2g}"
+    if away:
+        text += f"; {away} quaternions have the sign that is farther from the row before"
+    return Finding("pose", off < ATTITUDE_SPARE and away == 0, text, off)
 
 
 def _without_height(z: Array, origin: tuple[float, float], g: float, rows: Poses, facts: Facts) -> Finding:

@@ -106,6 +106,8 @@ def check_unknown_ground(
 ) -> Finding:
     """Poses with unknown ground within the gap of the underside, seen from above, must carry the flag.
 
+    Where passes carry it, that is a warning.
+
     Parameters
     ----------
     z : (rows, cols) float64 [m]  heights of the map; NaN unknown
@@ -132,4 +134,8 @@ def check_unknown_ground(
     text = (
         f"{of_rows} samples over unknown ground are not flagged ({flagged} are), and {between} poses between"
     )
-    return Finding("unknown_beneath", not silent.any(), text, of_rows + between)
+    on_passes = poses.flags[:samples][poses.passes[:samples] >= 0]
+    of_passes = int(np.count_nonzero(on_passes & UNKNOWN_BENEATH))
+    if of_passes:
+        text += f"; {of_passes} samples of passes are over unknown ground: no gap is kept from what is there"
+    return Finding("unknown_beneath", not silent.any(), text, of_rows + between, of_passes > 0)

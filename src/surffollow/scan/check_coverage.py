@@ -1,97 +1,80 @@
-"""Check the coverage of a path file: cells of the region within reach of a swath, and of the body itself."""
+"""Check the coverage of a path file: the region within half a swath of a pass, and of the body itself."""
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from surffollow.scan.check_file import Array, Poses
 from surffollow.scan.check_finding import Finding
 from surffollow.scan.check_placement import rotations
+from surffollow.scan.check_raster import covered, percent
 
-MAX_CELLS_ACROSS = 2000  # swath cells along a side of the region
 WIDER = 1.05  # a swath is wider than a body: a circle of 12 control points has 3.5 % less width between them
 MAX_ROWS = 2000  # that the width of a body is taken from
 
 
 def check_coverage(
-    z: Array, origin: tuple[float, float], g: float, poses: Poses, swath: float, region: Array
+    z: Array, origin: tuple[float, float], g: float, rows: Poses, swath: float, region: Array
 ) -> Finding:
-    """Swath cells of the region, a quarter swath wide, within half a swath of a pass with a height.
+    """Swath cells of the region, an eighth of a swath wide, within half a swath of a pass with a height.
 
     Parameters
     ----------
     z : (rows, cols) float64 [m]  heights of the map; NaN unknown
     origin : (x, y) [m]           outer corner of z[0, 0]
     g : float [m]                 side of a cell
-    poses : Poses                 rows of the file, and poses between them
+    rows : Poses                  rows of the file
     swath : float [m]             width that a pass covers
     region : (n, 2) float64 [m]   corners of the region
+
+    Returns
+    -------
+    Finding
+        its value is the covered part of the region
     """
-    cells, seen = _covered(g, poses, swath, region)
-    if seen is None:
+    found = covered(z, origin, g, rows, swath, region)
+    if found is None:
         return Finding("coverage", False, "no pass of the path has a height", 0.0)
-    col = ((cells[:, 0] - origin[0]) / g).astype(np.int64)
-    row = ((cells[:, 1] - origin[1]) / g).astype(np.int64)
-    inside = (col >= 0) & (row >= 0) & (col < z.shape[1]) & (row < z.shape[0])
-    known = np.zeros(len(cells), np.bool_)
-    known[inside] = np.isfinite(z[row[inside], col[inside]])
-    missed, unknown = int(np.count_nonzero(known & ~seen)), int(np.count_nonzero(~known))
-    part = float(seen.mean())
+    if found.cells == 0:
+        text = f"a swath of {swath:.4g} m is too small for the region: the passes cover at most "
+        return Finding("coverage", False, text + percent(found.part), found.part)
     text = (
-        f"{100 * part:.4g} % of {len(cells)} swath cells; {missed} on known ground missed, {unknown} unknown"
+        f"{percent(found.part)} of {found.cells} swath cells; {found.missed} on known ground missed, "
+        f"{found.unknown} unknown"
     )
-    return Finding("coverage", missed == 0, text, part)
+    return Finding("coverage", found.missed == 0, text, found.part)
 
 
-def check_swath(g: float, rows: Poses, poses: Poses, swath: float, body: Array, region: Array) -> Finding:
+def check_swath(
+    z: Array, origin: tuple[float, float], g: float, rows: Poses, swath: float, body: Array, region: Array
+) -> Finding:
     """A swath may be wider than the body, where the sensor's is: then a warning gives the body's own part.
 
     Parameters
     ----------
-    g : float [m]                side of a cell of the map
+    z, origin, g                 map, as in `check_coverage`
     rows : Poses                 rows of the file
-    poses : Poses                rows of the file, and poses between them
     swath : float [m]            width that a pass covers
     body : (m, 3) float64 [m]    control points of the body
     region : (n, 2) float64 [m]  corners of the region
+
+    Returns
+    -------
+    Finding
+        its value is the width of the body across its passes [m]
     """
     width = _width(rows, body)
     text = f"a swath is {swath:.4g} m wide, the body {width:.4g} m"
     if not 0.0 < WIDER * width < swath:
         return Finding("swath", True, text, width)
-    _, seen = _covered(g, poses, width, region, parts=10)
-    part = 1.0 if seen is None else float(seen.mean())
+    found = covered(z, origin, g, rows, width, region)
+    part = 1.0 if found is None else found.part
     if part < 1.0:
         text += (
             f": it passes over {100 * part:.3g} % of the region; the rest is scanned only if the sensor "
             f"sees {0.5 * (swath - width):.3g} m beyond the body on either side"
         )
     return Finding("swath", True, text, width, part < 1.0)
-
-
-def _covered(
-    g: float, poses: Poses, swath: float, region: Array, parts: int = 4
-) -> tuple[Array, NDArray[np.bool_] | None]:
-    """Cells of the region, `parts` to a swath, and which are within half a swath of a pass; None: none."""
-    low, high = region.min(axis=0), region.max(axis=0)
-    side = max(swath / parts, float((high - low).max()) / MAX_CELLS_ACROSS)
-    nx, ny = (max(1, math.ceil((high[k] - low[k]) / side)) for k in range(2))
-    x, y = np.meshgrid(
-        np.minimum(low[0] + (np.arange(nx) + 0.5) * side, high[0]),
-        np.minimum(low[1] + (np.arange(ny) + 0.5) * side, high[1]),
-    )
-    cells = np.column_stack([x.ravel(), y.ravel()])
-    cells = cells[_within(region, cells)]
-    on = (poses.passes >= 0) & poses.planned
-    if not on.any() or len(cells) == 0:
-        return cells, None
-    # poses are at most a cell apart along a pass
-    reach = math.hypot(0.5 * swath, 0.5 * g) + 1e-6
-    return cells, np.asarray(cKDTree(poses.position[on, :2]).query(cells)[0] <= reach)
 
 
 def _width(rows: Poses, body: Array) -> float:
@@ -106,12 +89,3 @@ def _width(rows: Poses, body: Array) -> float:
     defined = length > 0.0  # a quaternion of no rotation has NaN
     widths = np.ptp(inside[defined] / length[defined, None] @ body[:, :2].T, axis=1)
     return float(np.median(widths)) if len(widths) else 0.0
-
-
-def _within(corners: Array, points: Array) -> NDArray[np.bool_]:
-    """Winding number of a polygon about each point is not 0."""
-    total = np.zeros(len(points))
-    for p, q in zip(corners, np.roll(corners, -1, axis=0)):
-        a, b = p - points, q - points
-        total += np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
-    return np.abs(total) > math.pi

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import ScanFileError
+from surffollow.scan.check_finding import Finding
 
 FORMAT = "surffollow-scan-path-1"
 COLUMNS = (
@@ -27,7 +28,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Facts:
-    """Header of the file; lengths in metres, angles in radians, SI units of motion."""
+    """Header of the file; lengths in metres, angles in radians, SI units of motion; the number of rows."""
 
     body: Array
     region: Array
@@ -39,6 +40,7 @@ class Facts:
     lateral: float
     climb: float
     tilt: float
+    rows: float
 
 
 @dataclass(frozen=True)
@@ -124,8 +126,23 @@ def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
         numbers("region_m", 2, (3, MAX_POINTS)),
         numbers("wrist_rad", 4, (1, 1))[0].tolist(),
         *(positive(k) for k in ("gap_m", "swath_m", "speed_mps", "acceleration_mps2")),
-        *(positive(k) for k in ("lateral_mps2", "vertical_mps", "tilt_radps")),
+        *(positive(k) for k in ("lateral_mps2", "vertical_mps", "tilt_radps", "rows")),
     )
+
+
+def check_rows(rows: int, facts: Facts) -> Finding:
+    """A file that was cut off, or put together, has another number of rows than its header says.
+
+    Parameters
+    ----------
+    rows : int      of the file
+    facts : Facts   header of the file
+
+    Returns
+    -------
+    Finding
+    """
+    return Finding("rows", rows == facts.rows, f"{rows} rows of {facts.rows:g}", rows)
 
 
 def between(path: str | os.PathLike[str], rows: Poses, body: Array, step: float) -> Poses:

@@ -200,7 +200,6 @@ def _distance(
 ) -> float:
     edges, planes, radius, level = shape
     _turn(pose, turned)
-    rows, cols = z.shape
     reach, below = 0.0, False
     for k in range(body.shape[0]):
         reach = max(reach, math.sqrt(body[k, 0] ** 2 + body[k, 1] ** 2 + body[k, 2] ** 2))
@@ -211,9 +210,7 @@ def _distance(
                 py + turned[1, c] * body[k, c],
                 pz + turned[2, c] * body[k, c],
             )
-        u, v = (px - x0) / g, (py - y0) / g
-        if 0.0 <= u <= cols and 0.0 <= v <= rows:
-            below = below or pz < z[min(int(v), rows - 1), min(int(u), cols - 1)]
+        below = below or pz < _ground(z, (px - x0) / g, (py - y0) / g)
     reach += max(most, 0.0)
     best = most
     top, bottom, left, right = _window(z, x0, y0, g, pose[0], pose[1], reach)
@@ -233,6 +230,26 @@ def _distance(
                 away = -c if _beside(edges, planes, radius, a, b) == 0.0 else away
             best = min(best, away)
     return -abs(best) if below else best  # type: ignore[no-any-return]
+
+
+@jit
+def _ground(z: Any, u: Any, v: Any) -> float:
+    """Height [m] of the ground at column u and row v (corners of cells at whole numbers); NaN: unknown.
+
+    Ground is known at the centres of cells, and bilinear between four of them. Beyond the outermost centres
+    it goes on level; beside unknown cells a cell is as high as its centre.
+    """
+    rows, cols = z.shape
+    if not (0.0 <= u <= cols and 0.0 <= v <= rows):
+        return math.nan
+    s, t = min(max(u - 0.5, 0.0), cols - 1.0), min(max(v - 0.5, 0.0), rows - 1.0)
+    j, i = int(s), int(t)
+    right, top = min(j + 1, cols - 1), min(i + 1, rows - 1)
+    s, t = s - j, t - i
+    near, far = z[i, j] * (1.0 - s) + z[i, right] * s, z[top, j] * (1.0 - s) + z[top, right] * s
+    if math.isfinite(near + far):
+        return near * (1.0 - t) + far * t  # type: ignore[no-any-return]
+    return z[min(int(v), rows - 1), min(int(u), cols - 1)]  # type: ignore[no-any-return]
 
 
 @jit

@@ -47,7 +47,7 @@ def row_motion(path: ScanPath) -> dict[str, Floats]:
         "acceleration_mps2": np.abs(np.diff(speed)) / mid,
         "lateral_mps2": bend * 0.5 * (speed[1:] + speed[:-1]) / mid,
         "vertical_mps": np.abs(np.nan_to_num(step[:, 2])) / dt,
-        "tilt_radps": turned_rad(path.normal) / dt,
+        "tilt_radps": turned_rad(path.quaternion) / dt,
     }
 
 
@@ -87,7 +87,7 @@ def limited_tilt(path: ScanPath, tilt_radps: float) -> ScanPath:
     path : ScanPath
         with times and attitudes
     tilt_radps : float [rad/s]
-        greatest turn rate of the normal in the ground frame
+        greatest turn rate of the whole tool
 
     Returns
     -------
@@ -99,11 +99,13 @@ def limited_tilt(path: ScanPath, tilt_radps: float) -> ScanPath:
     Each wrist angle becomes the middle of the greatest function below it and the least function above it
     that keep the rate. The middle keeps the rate, and stays within the extremes of the angle and so within
     the wrist's limits. It begins to turn before a jump and ends behind it. Each of the two angles has
-    1 / √2 of the rate that the turn of the azimuth leaves.
+    1 / √2 of the rate L that the turn of the azimuth leaves: ψ'² + L² + √2 ψ' L sin(pitch) is the square of
+    the whole rate at most.
     """
     angles = wrist_angles(path.normal, path.azimuth_rad)
-    leaning = np.hypot(path.normal[:, 0], path.normal[:, 1]).max()
-    left = tilt_radps * np.diff(path.t_s) - leaning * np.abs(np.diff(path.azimuth_rad))
+    leaning = math.sqrt(0.5) * float(np.sin(np.abs(angles[:, 0]).max()))
+    most, turn = tilt_radps * np.diff(path.t_s), np.abs(np.diff(path.azimuth_rad))
+    left = np.sqrt(np.maximum((leaning * turn) ** 2 + most**2 - turn**2, 0.0)) - leaning * turn
     way = np.r_[0.0, np.cumsum(np.maximum(left, 0.0) / math.sqrt(2.0))][:, None]
 
     def lowest(values: Floats) -> Floats:

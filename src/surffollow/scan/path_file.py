@@ -13,7 +13,8 @@ import numpy as np
 
 from surffollow.errors import ScanFileError
 from surffollow.map.formats.atomic_file import replacing
-from surffollow.scan.checks import plain_file
+from surffollow.scan.attitude_angles import quaternions_of
+from surffollow.scan.checks import Floats, plain_file
 from surffollow.scan.path import ScanPath
 from surffollow.sim.column_file import read_columns
 
@@ -37,6 +38,7 @@ COLUMNS = (
     "flags",
 )
 
+ATTITUDE_SPARE = 1e-6  # as `scan check` allows
 DECIMALS = 9  # nanometres and nanoseconds, wherever the origin is: rows lie far farther apart
 NUMBERS = (
     *("gap_m", "grid_m", "swath_m", "speed_mps", "acceleration_mps2", "lateral_mps2", "vertical_mps"),
@@ -77,8 +79,8 @@ def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder, "plan.csv")
     ...     write_path(file, plan)
-    ...     file.read_text().splitlines()[:2]
-    ['# format = "surffollow-scan-path-1"', '# gap_m = 0.05']
+    ...     file.read_text().splitlines()[:3]
+    ['# format = "surffollow-scan-path-1"', '# rows = 2', '# gap_m = 0.05']
     """
     try:
         facts = [f"# {k} = {json.dumps(v, allow_nan=False)}\n" for k, v in plan.facts.items()]
@@ -89,7 +91,7 @@ def write_path(path: str | os.PathLike[str], plan: ScanPath) -> None:
     )
     rows = zip(table.tolist(), plan.passes.tolist(), plan.flags.tolist())
     with replacing(path) as temporary, open(temporary, "w", encoding="ascii", newline="\n") as f:
-        f.write(f"# format = {json.dumps(FORMAT)}\n")
+        f.write(f"# format = {json.dumps(FORMAT)}\n# rows = {len(plan)}\n")
         f.writelines(facts)
         f.write(",".join(COLUMNS) + "\n")
         for row, number, bits in rows:
@@ -118,6 +120,20 @@ def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:
             )
 
 
+def _check_attitudes(path: str | os.PathLike[str], plan: ScanPath, quaternion: Floats) -> None:
+    """Refuse a row whose quaternion is another attitude than its normal and azimuth, which a run uses."""
+    expected = quaternions_of(plan.normal, plan.azimuth_rad)
+    apart = [np.linalg.norm(quaternion + sign * expected, axis=1) for sign in (-1.0, 1.0)]
+    off = np.maximum(np.minimum(*apart), np.abs(np.linalg.norm(plan.normal, axis=1) - 1.0))
+    wrong = ~(off <= ATTITUDE_SPARE)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise ScanFileError(
+            f"{path}, row {k + 1}: the quaternion and the attitude of normal and azimuth differ by "
+            f"{off[k]:.3g}, expected at most {ATTITUDE_SPARE:g}, in {wrong.sum()} rows: plan it again"
+        )
+
+
 def read_path(path: str | os.PathLike[str]) -> ScanPath:
     """Read a path file.
 
@@ -134,7 +150,8 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
     Raises
     ------
     ScanFileError
-        it cannot be read, is of another format, lacks columns, or has rows or facts that are not numbers
+        it cannot be read, is of another format, lacks columns or rows, has rows or facts that are not
+        numbers, or a quaternion that is not the attitude of normal and azimuth
 
     Examples
     --------
@@ -166,6 +183,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
     if facts.pop("format", None) != FORMAT:
         raise ScanFileError(f"{path} is no path file of this version; expected the format {FORMAT}")
     _check_facts(path, facts)
+    count = facts.pop("rows", "nothing")
     missing = [c for c in COLUMNS if c not in text]
     if missing:
         raise ScanFileError(f"{path} lacks the columns {', '.join(missing)}")
@@ -176,9 +194,13 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
         raise ScanFileError(f"{path} has a row that is not numbers: {e}") from e
     if len(at["t_s"]) == 0:
         raise ScanFileError(f"{path} has no row; expected at least one")
+    if len(at["t_s"]) != count:
+        raise ScanFileError(
+            f"{path} has {len(at['t_s'])} rows, its header says {count}; the file is not whole: plan it again"
+        )
     if not (np.isfinite(at["flags"]) & np.isfinite(at["pass"])).all():
         raise ScanFileError(f"{path} has a pass or flags that are no whole numbers")
-    return ScanPath(
+    plan = ScanPath(
         at["t_s"],
         np.column_stack([at["x_m"], at["y_m"], at["z_m"]]),
         np.column_stack([at["nx"], at["ny"], at["nz"]]),
@@ -189,3 +211,5 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
         passes,
         facts,
     )
+    _check_attitudes(path, plan, np.column_stack([at[c] for c in ("qx", "qy", "qz", "qw")]))
+    return plan

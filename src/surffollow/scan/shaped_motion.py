@@ -100,7 +100,7 @@ def shaped_within(
     *,
     base_m: Sequence[float] | None = None,
 ) -> ScanPath:
-    """Places of a shaped run that keeps limits of speed and acceleration: its command is slowed, then shaped.
+    """Places of a shaped run that keeps limits of speed, acceleration and azimuth: slowed, then shaped.
 
     Parameters
     ----------
@@ -125,12 +125,14 @@ def shaped_within(
         planar = shaped_planar(timed(path, slower), shaper, rate_hz, base_m=base_m)
         part = {k: float(v.max(initial=0.0)) / getattr(limits, k) for k, v in row_motion(planar).items()}
         fast, hard = part["speed_mps"], max(part["acceleration_mps2"], part["lateral_mps2"])
-        if max(fast, hard) <= KEPT:
+        turn = part["tilt_radps"]  # of the azimuth
+        if max(fast, hard, turn) <= KEPT:
             break
         slower = replace(
             slower,
             speed_mps=slower.speed_mps / max(fast, 1.0),
             acceleration_mps2=slower.acceleration_mps2 / max(hard, 1.0),
             lateral_mps2=slower.lateral_mps2 / max(hard, 1.0),
+            tilt_radps=slower.tilt_radps / max(turn, 1.0),
         )
     return planar

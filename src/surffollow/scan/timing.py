@@ -29,7 +29,7 @@ class MotionLimits:
     vertical_mps : float
         up and down
     tilt_radps : float
-        of the normal
+        turn rate of the whole tool: tilt, and turn about the vertical
 
     Examples
     --------
@@ -74,10 +74,13 @@ def speed_profile(cap: Any, ds: Any, acceleration: Any, speed: Any) -> None:
         speed[k] = min(speed[k], (speed[k + 1] ** 2 + 2.0 * acceleration * ds[k]) ** 0.5)
 
 
-def turned_rad(normal: Floats) -> Floats:
-    """Angles between unit normals (n, 3) and the next ones: (n - 1,) float64 [rad]."""
-    chord = np.linalg.norm(np.diff(normal, axis=0), axis=1)
-    made: Floats = 2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0))
+def turned_rad(quaternion: Floats) -> Floats:
+    """Angles of the rotations from unit quaternions (n, 4) to the next ones: (n - 1,) float64 [rad].
+
+    Of q and -q each has to be the nearer one to that before (`ScanPath.quaternion`).
+    """
+    chord = np.linalg.norm(np.diff(quaternion, axis=0), axis=1)
+    made: Floats = 4.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0))
     return made
 
 
@@ -112,7 +115,7 @@ def timed(path: ScanPath, limits: MotionLimits) -> ScanPath:
     if n > 1:
         # the motion between two samples limits both of them
         rise = np.abs(np.nan_to_num(np.diff(z))) / ds
-        tilt = turned_rad(path.normal) / ds
+        tilt = turned_rad(path.quaternion) / ds
         between = np.minimum(
             limits.vertical_mps / np.maximum(rise, 1e-12), limits.tilt_radps / np.maximum(tilt, 1e-12)
         )
