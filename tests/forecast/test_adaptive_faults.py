@@ -69,7 +69,7 @@ def test_a_clock_that_jumps_back_is_followed_with_several_sensors():
 
 @pytest.mark.parametrize("run", ["freeze", "dryrun"])
 def test_after_freeze_and_dryrun_the_setpoint_begins_at_the_tool(run):
-    b = Bench(plant={"a_max_mps2": 20.0})  # it brakes within 30 mm
+    b = Bench()
     b.go(500, 0.1)
     b.f.set_params(run=run)
     shown = b.go(1000, 0.13)

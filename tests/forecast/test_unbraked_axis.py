@@ -46,9 +46,9 @@ JOBS = {
 @pytest.mark.parametrize("name", JOBS)
 def test_an_approach_to_level_ground_stops_at_the_stand_off(name):
     """Arm, excavator and boom touched the ground with the demand VALID and health OK."""
-    assert least_clearance(JOBS[name], 6.0 * JOBS[name][0], seconds=30.0) > 0.85
+    assert least_clearance(JOBS[name], 6.0 * JOBS[name][0], seconds=30.0) > 0.95
 
 
 @pytest.mark.parametrize("ledge_m", [0.1, 0.2, 0.3])
 def test_the_way_down_behind_a_ledge_stops_at_the_stand_off(ledge_m):
-    assert least_clearance(JOBS["arm"], 0.05, ledge_m) > 0.85
+    assert least_clearance(JOBS["arm"], 0.05, ledge_m) > 0.9

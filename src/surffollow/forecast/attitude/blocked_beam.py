@@ -74,14 +74,18 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
 
 @jit
 def is_blocked(params, adaptive, c):
-    """Whether the range of one of three or four beams stayed while its sensor moved and others changed."""
+    """Whether the range of a beam of three stayed while its sensor moved and the others changed.
+
+    So one of four that is left out does not come back while the ring turns: it may meet the plane by chance.
+    """
     beams, runs, n = adaptive.beams, adaptive.beam_runs, 0
     for k in range(params.n_channels):
         late_ns = lateness_ns(beams, c) + lateness_ns(beams, k)
         n += 1 if is_recent(beams, k, beams.t_ns[c], late_ns) else 0
     least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
     changes = runs.changes - runs.changes_before[c]
-    return 3 <= n <= 4 and changes >= CHANGES and runs.motion_m[c] > least_m
+    of_three_or_out = n == 3 or (n == 4 and beams.accepted[c] == 0)
+    return of_three_or_out and changes >= CHANGES and runs.motion_m[c] > least_m
 
 
 @jit

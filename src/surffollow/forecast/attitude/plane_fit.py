@@ -15,8 +15,8 @@ from surffollow.shm.jit import jit
 def plane_height(params, adaptive, t_ns, pose):
     """Height under the tool from all accepted beams, and their number; 0 when there are none.
 
-    The height is that of the plane that touches the ground where the tool's axis meets it. A beam that is
-    found blocked has tilted the plane: it begins anew, perpendicular to the tool.
+    The height is that of the plane that touches the ground where the tool's axis meets it. A beam of three
+    that is found blocked has tilted the plane: it begins anew, perpendicular to the tool.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def plane_height(params, adaptive, t_ns, pose):
     accepted = beam_detection.isolate_faults(params, adaptive, t_ns, x_m, y_m)
     if accepted == 0:
         return 0, 0.0
-    if adaptive.beams.blocked > before:
+    if adaptive.beams.blocked > before and params.n_channels == 3:
         begin_at_tool(plane, pose)
     fit = update_plane(params, adaptive, dt)
     follow_track(adaptive, dt)

@@ -15,9 +15,9 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 from surffollow.shm.layout_adaptive_sensing import JUMP_SEEN
 
-# of the axis' acceleration: with 1 a tool that is pushed stays beside its stand-off, with 2 an axis that only
-# lags passes it by half (`test_disturbance.py`, `test_unbraked_axis.py`)
-BRAKING = 1.5
+# of the axis' acceleration: with 1 a tool that is pushed stays farther beside its stand-off, with 1.5 an axis
+# that only lags passes it by 0.18 (`test_disturbance.py`, `test_unbraked_axis.py`)
+BRAKING = 1.25
 
 
 @jit
@@ -173,10 +173,11 @@ def filter_setpoint(params, adaptive, target_m):
 
 @jit
 def braking_setpoint(params, adaptive, target_m, tool_z_m, age_s):
-    """The setpoint, or the lowest one above it with which an axis that only lags comes to the blend [m].
+    """The setpoint, or one above it that brakes the descent of an axis that only lags [m].
 
-    Such an axis does not brake by itself (`axis_model.axis_velocity`), and would pass the blend. It has
-    arrived when it moves at the rate of the blend, with its lag and what a disturbance adds to that.
+    Such an axis does not brake by itself (`axis_model.axis_velocity`), and would pass the blend. From a third
+    to two thirds of the speed from which it can stop there, the setpoint rises to one that asks for that
+    speed. A tool that does not descend has the whole setpoint: another demand may be added to it.
 
     Parameters
     ----------
@@ -185,13 +186,17 @@ def braking_setpoint(params, adaptive, target_m, tool_z_m, age_s):
     tool_z_m : float64  height of the tool in the newest pose reported [m]
     age_s : float64     of that pose when the demand acts [s]
     """
-    tau_s, a_max = adaptive.plant.tau_s, BRAKING * params.plant_a_max_mps2
-    lag_m = tau_s * (adaptive.blend.rate_mps - adaptive.plant.disturbance_mps)
-    z_m = tool_z_m + adaptive.kinematics.climb_mps * age_s
+    tau_s, rate_mps = adaptive.plant.tau_s, adaptive.blend.rate_mps
+    a_max = BRAKING * params.plant_a_max_mps2
+    descent_mps = rate_mps - adaptive.kinematics.climb_mps
+    lag_m = tau_s * (rate_mps - adaptive.plant.disturbance_mps)
+    z_m = tool_z_m - max(descent_mps, 0.0) * age_s
     above_m = z_m + lag_m - target_m
     if above_m <= a_max * tau_s * tau_s:
         return target_m
-    return z_m + lag_m - tau_s * axis_model.axis_velocity(above_m, tau_s, a_max)
+    speed_mps = axis_model.axis_velocity(above_m, tau_s, a_max)
+    share = min(max(3.0 * descent_mps / speed_mps - 1.0, 0.0), 1.0)
+    return target_m + share * (above_m - tau_s * speed_mps)
 
 
 @jit_inlined
