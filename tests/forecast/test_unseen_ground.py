@@ -8,6 +8,7 @@ import pytest
 
 from surffollow.forecast.adaptive_step import target_of_preview
 from surffollow.forecast.plant.controller_clock import plan_call_s
+from surffollow.forecast.sensing.health import update_unseen
 from surffollow.forecast.sensing.unseen_ground import rise_rate, uncertain_clearance
 from surffollow.forecast.setpoint.setpoint_blend import permitted_setpoint
 from surffollow.shm.dtypes import zeros
@@ -59,6 +60,24 @@ def test_silence_while_the_setpoint_is_shifted_counts_since_the_run_began():
     a["blend"]["tracked_m"] = 0.05
     risen_m = SLOPE_RMS * SPEED_MPS * SAMPLES * INTERVAL_S
     assert uncertain_clearance(a, True, False) == pytest.approx(0.05 + risen_m)
+
+
+def test_a_range_that_repeats_itself_has_shown_no_ground_since_the_newest_sample_that_was_used():
+    """And what may be lost by that stays lost until the range changes, whatever the speed."""
+    a, params = sensor_in(RESPONSE_RUN), default_params()
+    a["blend"]["tracked_m"], a["repeats"]["unused"] = 0.11, 1
+    a["clock"]["now_ns"] = a["hold"]["t_ns"] = 5 * 10**9
+    a["estimate"]["accepted_ns"] = 3 * 10**9
+    assert uncertain_clearance(a, False, False) == 0.0
+    assert uncertain_clearance(a, False, True) == pytest.approx(0.01 + SLOPE_RMS * SPEED_MPS * 2.0)
+    params["offset_m"] = 0.1
+    update_unseen(params, a, True)
+    assert a["health"]["unseen"] == 1
+    a["kinematics"]["speed_mps"] = 0.0
+    update_unseen(params, a, True)
+    assert a["health"]["unseen"] == 1
+    update_unseen(params, a, False)
+    assert a["health"]["unseen"] == 0
 
 
 @pytest.mark.parametrize("interval_s", [INTERVAL_S, 0.03], ids=["quick", "slow"])

@@ -140,9 +140,10 @@ def _look_beneath(
     found: Any,
 ) -> None:
     """`unknown_under` of one plate at poses (n, 7), into found (n,)."""
-    reach = max(near, 0.0)
+    reach = 0.0
     for k in range(body.shape[0]):
-        reach = max(reach, max(near, 0.0) + math.sqrt(body[k, 0] ** 2 + body[k, 1] ** 2 + body[k, 2] ** 2))
+        reach = max(reach, math.sqrt(body[k, 0] ** 2 + body[k, 1] ** 2 + body[k, 2] ** 2))
+    reach += max(near, 0.0)
     for k in range(poses.shape[0]):
         _turn(poses[k], turned)
         if not turned[2, 2] > 0.0:
