@@ -207,6 +207,23 @@ def test_a_lag_beyond_the_axis_is_named(lag_s: float, says: str) -> None:
     assert says in found.text
 
 
+def test_commanded_heights_lead_the_ranges_by_the_time_constant() -> None:
+    t_s = np.arange(0.0, 10.0, 0.01)
+    commanded = up_and_down(t_s)
+    measured = commanded.copy()
+    for k in range(1, t_s.size):  # an axis of the first order
+        measured[k] = measured[k - 1] + (commanded[k] - measured[k - 1]) * (1.0 - math.exp(-0.01 / FACTS.tau_s))
+    at = np.arange(0.003, 10.0, 0.005)
+    range_m = np.interp(at - FACTS.latency_s, t_s, measured)
+    for height_m, kind in ((measured, "OK"), (commanded, "lag")):
+        fit = fit_gain(t_s, height_m, -np.ones_like(t_s), at, range_m)
+        assert fit is not None
+        found = channel_finding(fit, FACTS)
+        assert found.kind == kind, found
+    assert "commanded" in found.text
+    assert "measured" in found.remedy
+
+
 def test_a_stuck_sensor_shows_one_value() -> None:
     t_s, height_m, beam_z, at, _ = moved(1)
     fit = fit_gain(t_s, height_m, beam_z, at, np.full(at.size, 0.1234))

@@ -15,6 +15,7 @@ PRECISE = 0.02  # greatest standard error of a gain that is evaluated, as a part
 EXPLAINED = 0.9  # of the ranges, where the heights hardly move
 LATERAL = 0.25  # of the travel: motion sideways that is tolerated
 LEAST_BEAM = 0.25  # cosine of the beam's tilt; nearer to level small errors of it are large ones of the gain
+LAG_SHARE = 0.5  # of the axis' time constant: heights that are commanded lead by a whole one
 MOST_OUTSIDE = 0.5  # of the readings, outside of the sensor's window
 
 
@@ -160,10 +161,13 @@ def _lag_finding(fit: GainFit, facts: ChannelFacts) -> Finding | None:
     if fit.lag_s is None or fit.lag_sigma_s is None:
         return None
     excess_s = fit.lag_s - facts.latency_s
-    if abs(excess_s) <= facts.tau_s + SIGMAS * fit.lag_sigma_s:
+    if abs(excess_s) <= LAG_SHARE * facts.tau_s + SIGMAS * fit.lag_sigma_s:
         return None
     who = (
-        ("older", "ranges are late, or poses have timestamps that are too old")
+        (
+            "older",
+            "ranges are late, poses are commanded instead of measured, or their timestamps are too old",
+        )
         if excess_s > 0.0
         else ("newer", "poses have timestamps that are too new, such as those of their arrival")
     )
@@ -171,8 +175,8 @@ def _lag_finding(fit: GainFit, facts: ChannelFacts) -> Finding | None:
         "lag",
         f"the ranges are {1e3 * abs(excess_s):.0f} ms {who[0]} than the poses and the configured latency of "
         f"{1e3 * facts.latency_s:.3g} ms say: {who[1]}",
-        "give both the time of the measurement, CLOCK_MONOTONIC in ns; a latency that remains is latency_s "
-        "of [driver], see surffollow calibrate latency",
+        "report measured poses, and give both the time of the measurement, CLOCK_MONOTONIC in ns; a latency "
+        "that remains is latency_s of [driver], see surffollow calibrate latency",
     )
 
 
