@@ -212,7 +212,9 @@ def test_commanded_heights_lead_the_ranges_by_the_time_constant() -> None:
     commanded = up_and_down(t_s)
     measured = commanded.copy()
     for k in range(1, t_s.size):  # an axis of the first order
-        measured[k] = measured[k - 1] + (commanded[k] - measured[k - 1]) * (1.0 - math.exp(-0.01 / FACTS.tau_s))
+        measured[k] = measured[k - 1] + (commanded[k] - measured[k - 1]) * (
+            1.0 - math.exp(-0.01 / FACTS.tau_s)
+        )
     at = np.arange(0.003, 10.0, 0.005)
     range_m = np.interp(at - FACTS.latency_s, t_s, measured)
     for height_m, kind in ((measured, "OK"), (commanded, "lag")):

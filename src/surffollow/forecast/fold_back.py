@@ -12,12 +12,15 @@ from surffollow.shm.jit import jit_inlined
 
 
 @jit_inlined
-def watch_fold_back(params, fold, range_m, sensor_z_m):
+def watch_fold_back(params, fold, channel, range_m, sensor_z_m):
     """Latch or release TOO_CLOSE with one valid reading.
+
+    Two channels together do not show the branch: with another one the test begins anew.
 
     Parameters
     ----------
     params, fold : records of `Params`, `FoldBackState` (updated)
+    channel : int64       of the reading
     range_m : float64     the reading [m]; nearer ones than `too_close_m` latch
     sensor_z_m : float64  height of the sensor then, world frame [m]
     """
@@ -25,14 +28,13 @@ def watch_fold_back(params, fold, range_m, sensor_z_m):
         if not range_m < params.too_close_m:
             return
         fold.close = 1
-    else:
+    elif channel == fold.channel:
         rise, change = sensor_z_m - fold.close_z_m, range_m - fold.close_range_m
         if abs(rise) < 0.002:  # too little to tell the branch by
             return
         if change * rise > 0.5 * rise * rise and range_m > params.too_close_exit_m:
             fold.close = 0
-    fold.close_z_m = sensor_z_m
-    fold.close_range_m = range_m
+    fold.channel, fold.close_z_m, fold.close_range_m = channel, sensor_z_m, range_m
 
 
 @jit_inlined

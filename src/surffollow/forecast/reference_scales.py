@@ -135,7 +135,7 @@ def scale_words(d, words, record, state, sign):
 def scale_sense(d, sense, n_channels):
     """Copy poses and samples to the dimensionless record; poses back to one that is there already."""
     scaled, per_m, n = d.sense, 1.0 / d.length, sense.pose_count
-    scaled.pose_count = n
+    scaled.pose_count, scaled.outside = n, sense.outside
     for k in range(n - 1, max(0, n - layout.POSES) - 1, -1):
         slot = k & (layout.POSES - 1)
         t_ns = dimensionless_time(d, sense.pose_t_ns[slot])
@@ -149,7 +149,6 @@ def scale_sense(d, sense, n_channels):
         scaled.window_t_ns[k] = dimensionless_time(d, sense.window_t_ns[k])
     for c in range(layout.CHANNELS):
         scaled.window_n[c], scaled.fresh[c] = sense.window_n[c], sense.fresh[c]
-        scaled.losses[c] = sense.losses[c]
         scaled.valid[c], scaled.range_m[c] = sense.valid[c], sense.range_m[c] * per_m
         scaled.range_t_ns[c] = dimensionless_time(d, sense.range_t_ns[c])
 
@@ -169,7 +168,7 @@ def scale_inputs(params, state, inputs, output):
     scale_sense(d, state[0].sense, params[0].n_channels)
     per_m = 1.0 / d.length
     d.fold.close, d.fold.close_z_m = fold.close, fold.close_z_m * per_m
-    d.fold.close_range_m = fold.close_range_m * per_m
+    d.fold.channel, d.fold.close_range_m = fold.channel, fold.close_range_m * per_m
     d.inputs.t_ns, d.inputs.n_ranges = dimensionless_time(d, i.t_ns), i.n_ranges
     for c in range(i.n_ranges):
         d.inputs.given_m[c] = i.given_m[c] * per_m
@@ -191,7 +190,7 @@ def unscale_outputs(state, output):
     """Copy the dimensionless output and the fold-back latch back in SI units; timestamps stay."""
     d, fold = state[0].scaled, state[0].fold
     fold.close, fold.close_z_m = d.fold.close, d.fold.close_z_m * d.length
-    fold.close_range_m = d.fold.close_range_m * d.length
+    fold.channel, fold.close_range_m = d.fold.channel, d.fold.close_range_m * d.length
     scale_words(d, _OUTPUT, output.ctypes.data, state.ctypes.data, 1)
 
 

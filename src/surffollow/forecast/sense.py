@@ -20,6 +20,13 @@ def lose_channel(sense, c):
 
 
 @jit_inlined
+def lose_outside(sense, c):
+    """A loss of channel `c` by a reading on or outside the valid range."""
+    lose_channel(sense, c)
+    sense.outside += 1 if c == 0 else 0
+
+
+@jit_inlined
 def note_spacing(sense, c, t_ns):
     """Update the usual spacing with a step's newest sample: it shrinks at once and grows slowly.
 
@@ -61,14 +68,14 @@ def push_sample(params, sense, c, t_ns, range_m):
 
 
 @jit_inlined
-def average_windows(params, sense):
+def average_windows(params, sense, most):
     """Make a reading of every channel with a sample in this step.
 
-    It is the mean of the newest `sensor_readings` samples in a row, stamped at the middle of them, less the
-    sensor's latency. The adaptive mode, which knows the noise, makes one of fewer after a loss: a slow sensor
-    that misses some would seldom give so many.
+    It is the mean of the newest `most` samples in a row, stamped at the middle of them, less the sensor's
+    latency. The adaptive mode, which knows the noise, makes one of fewer after a loss: a slow sensor that
+    misses some would seldom give so many.
     """
-    least = 1 if params.mode == MODE_ADAPTIVE else params.sensor_readings
+    least = 1 if params.mode == MODE_ADAPTIVE else most
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
             sense.missed[c] = 1
@@ -79,7 +86,7 @@ def average_windows(params, sense):
         if n < least:
             sense.fresh[c] = 0
             continue
-        readings = min(n, params.sensor_readings)
+        readings = min(n, most)
         total = 0.0
         for i in range(n - readings, n):
             total += sense.window_m[base + (i & (CONVERSION_WINDOW - 1))]
@@ -92,6 +99,9 @@ def average_windows(params, sense):
 @jit_inlined
 def take_conversions(params, sense, inputs):
     """Add the cycle's conversions to their windows and average the newest `sensor_readings`.
+
+    The adaptive mode does not average those of several channels: a wrong one would be so many that agree, and
+    the other channels, or the sample before, could not show that it is wrong.
 
     A conversion on or outside the valid range, or flagged by its driver, is a loss of its channel:
     a mean never spans one.
@@ -107,12 +117,14 @@ def take_conversions(params, sense, inputs):
         if c >= params.n_channels:
             continue
         range_m = params.zero_m[c] + params.scale_m[c] * conversion.conversion_counts(word)
-        bad = (conversion.conversion_flags(word) & conversion.FLAG_INVALID) != 0
-        if bad or not (params.range_min_m < range_m < params.range_max_m):
+        if (conversion.conversion_flags(word) & conversion.FLAG_INVALID) != 0:
             lose_channel(sense, c)
-        else:
+        elif params.range_min_m < range_m < params.range_max_m:
             push_sample(params, sense, c, inputs.t_ns + conversion.conversion_dt_ns(word), range_m)
-    average_windows(params, sense)
+        else:
+            lose_outside(sense, c)
+    several = params.mode == MODE_ADAPTIVE and params.n_channels > 1
+    average_windows(params, sense, 1 if several else params.sensor_readings)
 
 
 @jit_inlined
@@ -128,8 +140,8 @@ def take_ranges(params, sense, inputs):
         if params.range_min_m < range_m < params.range_max_m:
             push_sample(params, sense, c, inputs.given_t_ns, range_m)
         elif range_m == range_m:
-            lose_channel(sense, c)
-    average_windows(params, sense)
+            lose_outside(sense, c)
+    average_windows(params, sense, params.sensor_readings)
 
 
 @jit_inlined

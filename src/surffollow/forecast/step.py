@@ -101,7 +101,7 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
     sensor_z_m, farthest_m = reading_z_m, math.inf
     if fresh != 0:
         extrapolation.paper_update(params, p, state.sense)
-        fold_back.watch_fold_back(params, state.fold, state.sense.range_m[0], reading_z_m)
+        fold_back.watch_fold_back(params, state.fold, 0, state.sense.range_m[0], reading_z_m)
     else:
         farthest_m = extrapolation.distance_since_reading(params, p, state.sense, t_ns)
     if fresh == 0 or params.pose_interpolate != 0:

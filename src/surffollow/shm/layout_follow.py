@@ -141,6 +141,7 @@ class SenseState(Schema):
         CHANNELS, unit="ns", doc="usual time between the newest samples of two steps; 0: not known"
     )
     losses = I64(CHANNELS, doc="losses so far: invalid samples and gaps")
+    outside = I64(doc="readings of channel 0 outside the window so far")
     pose_t_ns = I64(POSES, unit="ns", doc="ring of timestamps, ascending")
     pose = F64(POSES * 7, unit="m, 1", doc="ring of x y z qx qy qz qw, world from tool")
     pose_count = I64(doc="poses ever accepted")
@@ -189,6 +190,7 @@ class FoldBackState(Schema):
     """The sensor's fold-back, in every mode (`forecast.fold_back`)."""
 
     close = I64(doc="1: TOO_CLOSE is latched")
+    channel = I64(doc="channel of the branch test")
     close_z_m = F64(unit="m", doc="tool height where the branch test began")
     close_range_m = F64(unit="m", doc="reading where the branch test began")
 

@@ -78,10 +78,12 @@ def demand_rotation(params, adaptive, sense, output):
     output : record of `Output`  receives `demand[3:6]` [rad]
     """
     now_ns, attitude = adaptive.clock.now_ns, adaptive.attitude
-    u, before = attitude.axis, max(sense.pose_count - 2, 0) & (POSES - 1)
-    tool_axis = to_world(sense.pose, 7 * newest_pose(sense), 0.0, 0.0, 1.0)
+    u, newest, before = attitude.axis, newest_pose(sense), max(sense.pose_count - 2, 0) & (POSES - 1)
+    tool_axis = to_world(sense.pose, 7 * newest, 0.0, 0.0, 1.0)
     _, turn = rotation_between(to_world(sense.pose, 7 * before, 0.0, 0.0, 1.0), tool_axis)
-    jumped = turn > 0.3 * params.max_tilt_rad  # no tool turns so far between two reports
+    # no tool turns so far between two reports
+    reach = params.max_turn_speed_radps * (sense.pose_t_ns[newest] - sense.pose_t_ns[before]) * 1e-9
+    jumped = turn > max(0.3 * params.max_tilt_rad, 2.0 * reach)
     elapsed_s = (now_ns - attitude.t_ns) * 1e-9
     begins = attitude.t_ns == 0 or jumped or not math.isfinite(u[0] + u[1] + u[2])
     if begins or not 0.0 <= elapsed_s <= restart_pause_s(adaptive.setpoint):

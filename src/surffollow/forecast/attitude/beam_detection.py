@@ -140,13 +140,13 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
     for c in range(params.n_channels):
         recent, blocked = is_recent(beams, c, t_ns), is_blocked(params, adaptive, c)
         beams.blocked += 1 if blocked else 0
-        beams.accepted[c] = 1 if recent and not blocked else 0
         beams.old[c] = 1 if beams.t_ns[c] != 0 and not recent else 0
-        timely += beams.accepted[c]
+        timely += 1 if recent and not blocked else 0
+        recent = recent or (beams.old[c] != 0 and is_recent(beams, c, t_ns, lateness_ns(beams, c)))
+        beams.accepted[c] = 1 if recent and not blocked else 0
     for c in range(params.n_channels):
-        counts = timely < 3 and beams.old[c] != 0 and is_recent(beams, c, t_ns, lateness_ns(beams, c))
-        if counts and not is_blocked(params, adaptive, c):
-            beams.accepted[c] = 1
+        if timely >= 3 and beams.old[c] != 0:
+            beams.accepted[c] = 0
         if beams.accepted[c] == 0:
             continue
         dx, dy = beams.footprint_m[3 * c] - x_m, beams.footprint_m[3 * c + 1] - y_m

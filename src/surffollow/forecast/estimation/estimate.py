@@ -69,7 +69,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh):
         setpoint_lead.reset_lead(adaptive.lead)
         shadow_axes.reset_effort(shadow)
         noise.initialise_noise(adaptive.noise)
-        estimate.slope_power = estimate.quick_slope_power = 0.0
+        estimate.slope_power = estimate.quick_slope_power = estimate.kept_slope_power = 0.0
     estimate.samples, estimate.kept_slope = 1, 0.0
     if fresh or adapts(params, adaptive):
         model_weights.update_weights(params, adaptive, math.inf)  # without their filter

@@ -29,6 +29,7 @@ from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant.axis_model import is_long
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
+    DROPOUT_INTERVALS,
     MAX_SLOPE,
     MEAN_TO_SIGMA,
     PLAUSIBLE_SLOPE,
@@ -85,15 +86,19 @@ def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
 
     With u = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `steepest_m` while
     no slope is known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible change
-    exceeds u.
+    exceeds u. Behind a drop-out a second one comes soon: they are sparse if they usually are.
     """
     gate, samples = adaptive.gate, adaptive.estimate.samples
     usual, sparse_m = gate_width(params, adaptive), plausible_change_m(travel_m)
-    plausible = sparse_m if samples >= CONFIRMATION_SAMPLES else steepest_m
+    usual_way_m = DROPOUT_INTERVALS * adaptive.kinematics.speed_mps * adaptive.prediction.interval_s
+    begins = samples < CONFIRMATION_SAMPLES
+    plausible = steepest_m if begins else sparse_m
     gate.width_m = max(usual, plausible)
+    sparse = min(sparse_m, plausible_change_m(usual_way_m)) > usual
     # while no slope is known, samples of nearer ground count on their own
-    sparse = (plausible if innovation_m > 0.0 else sparse_m) > usual
-    if not sparse and not rises_on and _needs_second_sample(gate, innovation_m):
+    sparse = sparse or (begins and innovation_m > 0.0 and plausible > usual)
+    inner_m = INNER_GATE * (gate.width_m if begins else usual)
+    if not sparse and not rises_on and _needs_second_sample(gate, innovation_m, inner_m):
         reject_pending(adaptive.pending)
         return WITHHELD
     if not abs(innovation_m) > gate.width_m:  # NaN too: the cycle then begins without knowledge
@@ -106,11 +111,11 @@ def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
 
 
 @jit
-def _needs_second_sample(gate, innovation_m):
+def _needs_second_sample(gate, innovation_m, inner_m):
     """Whether a single innovation lies between the inner gate and the gate; a second one is accepted."""
     before = gate.unconfirmed_m
     gate.unconfirmed_m = 0.0
-    if not INNER_GATE * gate.width_m < abs(innovation_m) <= gate.width_m or before * innovation_m > 0.0:
+    if not inner_m < abs(innovation_m) <= gate.width_m or before * innovation_m > 0.0:
         return False
     gate.unconfirmed_m = innovation_m
     return True

@@ -110,12 +110,12 @@ def beams_left_out(params, adaptive):
 
 @jit
 def count_outside(health, sense):
-    """Count readings of channel 0 outside the window since the last one inside it."""
-    lost = sense.losses[0] - health.losses
-    health.losses = sense.losses[0]
+    """Count cycles with readings of channel 0 outside the window since the last one inside it."""
+    found = sense.outside != health.outside_seen
+    health.outside_seen = sense.outside
     if sense.fresh[0] != 0:
         health.outside = 0
-    elif lost == 1:  # more are of cycles without a pose
+    elif found:
         health.outside += 1
 
 

@@ -67,10 +67,11 @@ def is_late(params, adaptive):
 
 @jit
 def check_configured_latency(params, latency):
-    """Discard the correction when another latency is configured; whether it is: timestamps go back or on."""
-    if latency.configured_ns == params.sensor_latency_ns:
+    """Discard the correction when another latency or hold is configured; whether timestamps go back or on."""
+    if latency.configured_ns == params.sensor_latency_ns and latency.hold_ns == params.hold_ns:
         return False
-    latency.configured_ns, latency.correction_s = params.sensor_latency_ns, 0.0
+    latency.configured_ns, latency.hold_ns = params.sensor_latency_ns, params.hold_ns
+    latency.correction_s = 0.0
     latency.known = 0  # delays are others
     reset_window(latency)
     return True

@@ -72,7 +72,7 @@ def enter_sample(params, adaptive, sense, fold, inputs, output, pose, channel, r
         return
     close = health.count_close(adaptive.health, range_m < params.too_close_m)
     if close or fold.close != 0:
-        fold_back.watch_fold_back(params, fold, range_m, sensor_z)
+        fold_back.watch_fold_back(params, fold, channel, range_m, sensor_z)
     # the error of heights behind a report is a copy of the tool's own motion: one sample counts per report
     if not height_is_known(adaptive, sense, t):
         if adaptive.sample.pose_count == sense.pose_count:

@@ -39,7 +39,7 @@ def count_repeats(adaptive, range_m, tool_z_m):
     repeats, sigma_m, resolution_m = adaptive.repeats, range_sigma_m(adaptive), count_m(adaptive.hold)
     setpoint_m, change_m = adaptive.setpoint.position_m, abs(range_m - repeats.range_m)
     if repeats.count == 0 or change_m > REPEAT_BAND * estimated_range_noise_m(adaptive.noise):
-        if adaptive.response.phase == RESPONSE_RUN:
+        if adaptive.response.phase == RESPONSE_RUN and repeats.count > 0:  # not of a run that a reset ended
             repeats.usual = _learn_usual(repeats.usual, repeats.count)
             repeats.usual_equal = _learn_usual(repeats.usual_equal, repeats.equal)
         repeats.count = repeats.equal = 1

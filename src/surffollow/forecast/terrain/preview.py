@@ -101,9 +101,10 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
 
 @jit
 def update_share(adaptive, known):
-    """Raise or lower preview's share of the setpoint by one controller period; whether a plan is possible.
+    """Raise or lower preview's share of the setpoint by one controller period; whether there is a share.
 
-    It needs known ground over the reaction time of the axis, seven periods.
+    To raise it takes known ground over the reaction time of the axis, seven periods. Ground that ends is
+    planned while the share fades.
 
     Parameters
     ----------
@@ -111,13 +112,13 @@ def update_share(adaptive, known):
     known : int         known periods of ground
     """
     # ground that is known from channel 0: an uncertain plan is better than none
-    preview, leads, enough = adaptive.preview, terrain_buffer.sensor_leads(adaptive), known >= 7
+    preview, leads = adaptive.preview, terrain_buffer.sensor_leads(adaptive)
     sure = adaptive.clock.now_ns >= preview.suspended_until_ns and known_ground.is_useful(adaptive)
-    usable = enough and (leads or sure)
+    usable = known >= 7 and (leads or sure)
     preview.share += 0.15 if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0
-    return enough
+    return preview.share > 0.0
 
 
 @jit
