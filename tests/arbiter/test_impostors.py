@@ -23,7 +23,7 @@ from second_user import NOBODY, OtherUser, as_other_user, needs_root, outcome
 from surffollow.arbiter import attach, command_reader, observe
 from surffollow.arbiter import handshake as hs
 from surffollow.arbiter.config import load_config, parse_config
-from surffollow.arbiter.name_owner import take_old_board
+from surffollow.arbiter.name_owner import read_old_board
 from surffollow.arbiter.server import Server
 from surffollow.errors import AlreadyRunningError, BlockError, NoPermissionError, NotRunningError
 
@@ -257,7 +257,7 @@ def test_a_board_that_another_user_made_is_not_taken_over(genuine):
     assert as_other_user(lambda child: outcome(lambda: make(child))) == "done"
     try:
         with pytest.raises(NoPermissionError, match=BOTH):
-            take_old_board(f"{genuine.name}.arbiter")
+            read_old_board(f"{genuine.name}.arbiter")
     finally:
         os.unlink(path)
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from surffollow.arbiter import layout as al
 from surffollow.arbiter.config import ArbiterConfig, limits
-from surffollow.arbiter.name_owner import EPOCH_LIMIT, take_old_board
+from surffollow.arbiter.name_owner import EPOCH_LIMIT, OldBoard, read_old_board
 from surffollow.blocks import layout as bl
 from surffollow.blocks.claim import claim_writer, give_up
 from surffollow.config.group_id import configured_group_id
 from surffollow.config.service import mode, seconds
+from surffollow.errors import NoSpaceError
 from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.layout_board import LogHead
 from surffollow.shm.objects import SharedObject, unlink
@@ -29,10 +30,10 @@ class Board:
 
     def __init__(self, config: ArbiterConfig) -> None:
         name = f"{config.name}.arbiter"
+        access, group = mode(config.mode, "mode"), configured_group_id(config.group, "group")
+        old = read_old_board(name)
         # a start whose predecessor left nothing must not repeat its epoch either
-        self.epoch = max(
-            take_old_board(name) + 1, (int(time.time() * 8) - (1_750_000_000 << 3)) & EPOCH_LIMIT
-        )
+        self.epoch = max(old.epoch + 1, (int(time.time() * 8) - (1_750_000_000 << 3)) & EPOCH_LIMIT)
         self.regions = al.board_regions(config.history)
         size = al.board_bytes(config.history)
 
@@ -44,14 +45,18 @@ class Board:
             end = at + al.ResourceConfig.SIZE * al.RESOURCES
             self.config = self.bytes[at:end].view(numpy_dtype(al.ResourceConfig))
             self._entry_bytes = self.regions["clients"][1] // al.CLIENTS
-            self._declare(config, size)
+            self._declare(config, size, old)
+            unlink(name)
 
-        # no reader sees half of it: it gets its name when it is declared
-        SharedObject.create(
-            name, size, mode(config.mode, "mode"), configured_group_id(config.group, "group"), prepare
-        )
+        # no reader sees half of it: it gets its name when it is declared, and knows what the old one knew
+        try:
+            SharedObject.create(name, size, access, group, prepare)
+        except NoSpaceError:
+            if not unlink(name):
+                raise
+            SharedObject.create(name, size, access, group, prepare)  # in the place of the old one
 
-    def _declare(self, config: ArbiterConfig, size: int) -> None:
+    def _declare(self, config: ArbiterConfig, size: int, old: OldBoard) -> None:
         h = self.header[0]
         h["version"], h["layout_hash"], h["size"] = al.LAYOUT_VERSION, al.layout_hash(), size
         h["epoch"], h["server_pid"] = self.epoch, own_pid()
@@ -59,7 +64,12 @@ class Board:
         h["n_resources"], h["n_combinations"] = len(config.resources), len(config.combine)
         h["history_capacity"], h["lease_ns"] = config.history, config.lease_ns
         h["period_ns"], h["name"] = config.period_ns, config.name.encode()
-        for c, (name, spec) in zip(self.config, config.resources.items()):
+        sums = {
+            part: (k, name, part in spec.required)
+            for k, (name, spec) in enumerate(config.combine.items())
+            for part in spec.parts
+        }
+        for r, (c, (name, spec)) in enumerate(zip(self.config, config.resources.items())):
             c["name"], c["status_block"] = name.encode(), spec.status.encode()
             c["fields"], c["units"] = ",".join(spec.command).encode(), ",".join(spec.units).encode()
             c["n_values"], c["cooperative"] = len(spec.command), spec.policy == "cooperative"
@@ -68,9 +78,10 @@ class Board:
                 c[f"{key}_ns"] = round(seconds(getattr(spec, key), key, 0.001, 60.0) * 1e9)
             c["low"], c["high"] = limits(spec)
             c["safe"][: len(spec.safe)] = spec.safe
-            c["combined_into"] = next(
-                (k for k, x in enumerate(config.combine.values()) if name in x.parts), -1
-            )
+            c["combined_into"], combination, c["required"] = sums.get(name, (-1, "", False))
+            c["combination"] = combination.encode()
+            if combination and not c["required"]:
+                h["lost_ns"][r] = old.lost_ns(name)
         at, _ = self.regions["history"]
         head = self.bytes[at : at + LogHead.SIZE].view(numpy_dtype(LogHead))
         head["capacity"] = config.history * al.EVENT_WORDS
@@ -94,9 +105,9 @@ class Board:
         return os.open(f"/proc/self/fd/{self.object.fd}", os.O_RDONLY | os.O_CLOEXEC)
 
     def remove(self) -> None:
-        """Take the name away, and close; who has it mapped keeps it."""
+        """Close, and take the name away, unless parts are lost: the next server must know that."""
         self.set_state(al.STATE_ENDED)
-        if self.object.is_current():
+        if self.object.is_current() and not self.header[0]["lost_ns"].any():
             unlink(self.object.name)
         self.object.close()
 

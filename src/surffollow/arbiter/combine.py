@@ -89,7 +89,7 @@ def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
         r = x.part[i]
         run = mem.runs[r]
         if mem.machines[r].state == FREE:
-            valid = 0 if x.required[i] != 0 or run.lost != 0 else valid
+            valid = 0 if x.required[i] != 0 or run.lost_ns > 0 else valid
             continue
         held += 1
         if t_ns >= run.valid_until_ns:

@@ -45,14 +45,16 @@ def carry_out(mem: Any, resource: Any, effect: Any, t_ns: Any) -> None:
     run, status, action, slot = mem.runs[resource], mem.status[resource], effect.action, effect.client
     if action == t.GRANT:
         end_wait(mem, resource, slot, t_ns)
-        run.item_seq, run.command_ns, run.valid_until_ns, run.late, run.lost = 0, t_ns, 0, 0, 0
+        run.item_seq, run.command_ns, run.valid_until_ns, run.late = 0, t_ns, 0, 0
+        p.set_lost(mem, resource, -1)
         status.grants += 1
         status.since_ns = t_ns
         p.notify_held(mem, slot, resource, effect.token)
     elif action in (t.REVOKE, t.RELEASE):
         if action == t.REVOKE:
             status.preempted += 1
-            run.lost = 1 if effect.reason in (t.GONE, t.LEASE_OVER) else 0
+        # a preempted holder's successor is granted it at once, which ends the loss
+        p.set_lost(mem, resource, t_ns if action == t.REVOKE else 0)
         status.since_ns = t_ns
         p.notify_held(mem, slot, resource, 0)
     elif action == t.ASK:

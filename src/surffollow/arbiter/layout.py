@@ -103,6 +103,8 @@ class ResourceConfig(Schema):
     safe_period_ns = I64(unit="ns", doc="between safe commands")
     grace_ns = I64(unit="ns", doc="of the cooperative policy")
     combined_into = I64(doc="number of the combination that sums this part, -1: none")
+    required = I64(doc="1: that combination makes no sum without it")
+    combination = Text(48, doc="name of that combination")
     low = F64(VALUES)
     high = F64(VALUES)
     safe = F64(VALUES)
@@ -205,6 +207,12 @@ class BoardHeader(Schema):
     state = I64(align=64, doc="0 starting, 1 ready, 2 ended")
     heartbeat_ns = I64(align=64, unit="ns", doc="last round of the server")
     rounds = I64(doc="looks at the mailboxes so far")
+    lost_ns = I64(
+        RESOURCES,
+        align=64,
+        unit="ns",
+        doc="since when an optional part of a sum is lost; -1: it is held, and lost if the server ends",
+    )
 
 
 class Command(Schema):

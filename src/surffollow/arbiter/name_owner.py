@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
+from typing import NamedTuple
 
 from surffollow.arbiter import layout as al
 from surffollow.blocks.listing import attach_unknown
@@ -49,8 +51,30 @@ def own_name(name: str) -> NameLock:
     return own
 
 
-def take_old_board(name: str) -> int:
-    """Remove a dead server's board; its epoch, 0 when there was none.
+class OldBoard(NamedTuple):
+    """Facts that outlive a server, from its board.
+
+    Attributes
+    ----------
+    epoch : int
+        0: it left no board
+    lost : dict of str to int
+        part of a sum → since when it is lost [ns]: lost already, or held when the server ended
+    readable : bool
+        False: of another release, and what was lost is unknown
+    """
+
+    epoch: int
+    lost: dict[str, int]
+    readable: bool
+
+    def lost_ns(self, part: str) -> int:
+        """Since when a part that a sum does not require is lost [ns]; 0: it is not. When in doubt, it is."""
+        return self.lost.get(part, 0) if self.readable else time.monotonic_ns()
+
+
+def read_old_board(name: str) -> OldBoard:
+    """Mark a dead server's board as ended, and read what outlives the server.
 
     Raises
     ------
@@ -62,10 +86,10 @@ def take_old_board(name: str) -> int:
     try:
         old = SharedObject.open(name, writable=True, owners=(own_user(),))
     except NotRunningError:
-        return 0
+        return OldBoard(0, {}, True)
     except NotReadyError:
         unlink(name)
-        return 0
+        return OldBoard(0, {}, True)
     try:
         if old.size < al.PAGE:
             raise BlockError(f"shared-memory object {name!r} is there and is no board; take another name")
@@ -75,8 +99,19 @@ def take_old_board(name: str) -> int:
         with memoryview(old.memory).cast("q") as words:
             words[al.BoardHeader.offset("state") // 8] = al.STATE_ENDED
         epoch = int(header["epoch"])
-        unlink(name)
-        return epoch if 0 < epoch < EPOCH_LIMIT else 0
+        if not 0 < epoch < EPOCH_LIMIT:
+            epoch = 0
+        at, size = al.board_regions(0)["config"]
+        if header["layout_hash"] != al.layout_hash() or old.size < at + size:
+            return OldBoard(epoch, {}, False)
+        now_ns = time.monotonic_ns()
+        ended_ns = max(1, min(int(header["heartbeat_ns"]), now_ns))
+        lost: dict[str, int] = {}
+        for r, since_ns in enumerate(header["lost_ns"]):
+            if since_ns:
+                config = unpack_schema(al.ResourceConfig, old.memory, at + r * al.ResourceConfig.SIZE)
+                lost[str(config["name"])] = min(since_ns, now_ns) if since_ns > 0 else ended_ns
+        return OldBoard(epoch, lost, True)
     finally:
         old.close()
 
@@ -123,7 +158,8 @@ def purge_arbiter(name: str) -> list[str]:
         if pid := _board_pid(board):  # its lock was removed manually
             raise AlreadyRunningError(f"arbiter {name!r} runs (process {pid}); end it first")
         removed = [board] if os.path.lexists(SHM_ROOT / board) else []
-        take_old_board(board)
+        read_old_board(board)
+        unlink(board)
         for block in _command_blocks(name):
             remove_block(block)
             removed.append(block)

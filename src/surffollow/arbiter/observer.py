@@ -93,11 +93,15 @@ class ArbiterObserver(Closing):
         -------
         dict
             `name`, `alive`, `starting`, `epoch` and `pid` of the server, `lease_s` [s], `rounds` of its loop;
-            `resources`: name → holder, state, queue, counters and declaration of each;
+            `resources`: name → holder, state, queue, counters, `lost_since_ns` (0: not lost) and declaration;
+            `combinations`: name → `parts`, and `waits_for`: parts without which the sum is its safe command,
+            each with `part`, `reason` ("lost" or "required"), `since_ns`, `for_ns` and `remedy`;
             `clients`: a list with number, name, priority, pid and counters of each
         """
         board, h = self.board, self.board.header
-        resources = {}
+        resources: dict[str, dict[str, Any]] = {}
+        board.require_open()
+        now = unpack_schema(al.BoardHeader, board.memory)
         for k, config in enumerate(board.resources):
             s, holder = board.status(k), self.holder(board.names[k])
             since_ns = s.pop("waiting_since_ns")
@@ -109,6 +113,8 @@ class ArbiterObserver(Closing):
                 "fields": config["fields"].split(","),
                 "units": config["units"].split(",") if config["units"] else [],
                 "status_block": config["status_block"],
+                "combination": config["combination"] or None,
+                "lost_since_ns": max(0, now["lost_ns"][k]),
             }
         clients = [e for e in map(board.entry, range(al.CLIENTS)) if e["number"]]
         return {
@@ -118,10 +124,37 @@ class ArbiterObserver(Closing):
             "epoch": h["epoch"],
             "pid": h["server_pid"],
             "lease_s": h["lease_ns"] / 1e9,
-            "rounds": unpack_schema(al.BoardHeader, board.memory)["rounds"],
+            "rounds": now["rounds"],
             "resources": resources,
+            "combinations": self._combinations(resources),
             "clients": clients,
         }
+
+    def _combinations(self, resources: dict[str, dict[str, Any]]) -> dict[str, dict[str, list[Any]]]:
+        """The sums, each with its parts and those that it waits for."""
+        found: dict[str, dict[str, list[Any]]] = {}
+        for config in self.board.resources:
+            part, combination = str(config["name"]), str(config["combination"])
+            if not combination:
+                continue
+            entry = found.setdefault(combination, {"parts": [], "waits_for": []})
+            entry["parts"].append(part)
+            s = resources[part]
+            remedy = f"a client requests {part}"
+            if s["lost_since_ns"]:
+                reason, since_ns = "lost", s["lost_since_ns"]
+                remedy += (
+                    "; if the robot is safe without it: "
+                    f"surffollow arbiter acknowledge {part} --name {self.name} --client CLIENT"
+                )
+            elif config["required"] and s["state"] == "FREE":
+                reason, since_ns = "required", s["since_ns"] or self.board.header["started_ns"]
+            else:
+                continue
+            for_ns = max(0, time.monotonic_ns() - since_ns)
+            wait = {"part": part, "reason": reason, "since_ns": since_ns, "for_ns": for_ns, "remedy": remedy}
+            entry["waits_for"].append(wait)
+        return found
 
     def close(self) -> None:
         """Release the board; calls after it raise ClosedError."""

@@ -21,7 +21,7 @@ _REPLY, _REPLY_LATCH, _STATUS, _STATUS_LATCH = (
     al.STATUS_BYTES,
 )
 _HELD, _ASKED, _DOORBELL = (al.ClientGrants.offset(n) for n in ("held", "asked", "doorbell"))
-_WAITED = al.ClientEntry.offset("waited_ns")
+_WAITED, _LOST = al.ClientEntry.offset("waited_ns"), al.BoardHeader.offset("lost_ns")
 _SLOT_BYTES = m.CommandSlot.SIZE
 _EVENT_WORDS, _VALUES, _POSE = al.EVENT_WORDS, al.VALUES, al.POSE
 _SOURCE_SAFE, _LIMITED = al.SOURCE_SAFE, al.FLAG_LIMITED
@@ -160,6 +160,22 @@ def publish_status(mem: Any, resource: Any) -> None:
     s.command_ns = mem.runs[resource].command_ns
     address = mem.status.ctypes.data + _STATUS * resource
     latch_write(mem.ctx[m.STATUS] + _STATUS_LATCH * resource, address, _STATUS)
+
+
+@jit
+def set_lost(mem: Any, resource: Any, lost_ns: Any) -> None:
+    """Note on the board, which outlives this process, what becomes of a sum without this part.
+
+    Parameters
+    ----------
+    mem : Memory
+    resource : int64
+    lost_ns : int64  as `layout.BoardHeader.lost_ns`
+    """
+    run = mem.runs[resource]
+    if run.optional != 0:
+        run.lost_ns = lost_ns
+        at.store_release_i64(mem.ctx[m.HEADER] + _LOST + 8 * resource, lost_ns)
 
 
 @jit

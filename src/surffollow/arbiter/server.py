@@ -86,6 +86,8 @@ class Server:
             for key in ("n_values", "ttl_ns", "safe_period_ns", "grace_ns", "low", "high", "safe"):
                 run[key] = c[key]
             run["combination"] = c["combined_into"]
+            run["optional"] = c["combined_into"] >= 0 and c["required"] == 0
+            run["lost_ns"] = board.header[0]["lost_ns"][r]
             run["block"], run["fence"] = self._blocks[r].latch, self._blocks[r].fence
             run["command_ns"] = now - int(c["ttl_ns"])
             machine = mem.machines[r]

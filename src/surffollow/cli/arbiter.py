@@ -1,4 +1,4 @@
-"""`surffollow arbiter start`, `stop`, `status`, `history`, `check`, `print-header`, `follow` and `demo`."""
+"""`surffollow arbiter`: all its verbs but `stop` and `acknowledge`, which have modules of their own."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from surffollow.cli.arbiter_acknowledge import acknowledge_command
 from surffollow.cli.arbiter_stop import stop_command
 from surffollow.cli.old_names import old_name
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
@@ -46,6 +47,7 @@ def start_command(config_path: str, name: str | None, quiet: bool) -> None:
 
 
 arbiter_group.add_command(stop_command)
+arbiter_group.add_command(acknowledge_command)
 
 
 @arbiter_group.command("status")
@@ -56,6 +58,8 @@ arbiter_group.add_command(stop_command)
 @JSON
 def status_command(name: str, wait_s: float, as_json: bool) -> None:
     """Show who holds what, who is attached, what was denied and how long clients waited.
+
+    Of a sum it shows for which parts it waits at its safe command, since when, and the way out.
 
     Exit codes: 0 it runs; 1 it does not; 3 it starts.
     """
@@ -82,6 +86,18 @@ def _print_status(name: str, status: dict[str, Any]) -> None:
             f"preempted, {s['forwarded']} forwarded, {s['rejected']} rejected, {s['denied']} denied; longest "
             f"wait {format_ns(s['waited_ns'])}, the longest one now {format_ns(s['waiting_ns'])}"
         )
+    for combination, x in status["combinations"].items():
+        print(f"  {combination}: the sum of {', '.join(x['parts'])}")
+        for w in x["waits_for"]:
+            why = (
+                "lost (its client ended or fell silent, or the arbiter ended while it was held)"
+                if w["reason"] == "lost"
+                else "required and has no holder"
+            )
+            print(
+                f"    safe command for {format_ns(w['for_ns'])}, because {w['part']} is {why}. "
+                f"Way out: {w['remedy']}"
+            )
     for c in status["clients"]:
         life = "" if c["live"] else ", no heartbeat"
         print(

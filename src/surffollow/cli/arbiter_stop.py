@@ -12,7 +12,7 @@ from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
 @click.command("stop")
 @click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
-@click.option("--purge", is_flag=True, help="Also remove what a killed one left.")
+@click.option("--purge", is_flag=True, help="Also remove what it left, and so forget lost parts of sums.")
 @click.option(
     "--timeout", type=Finite(min=0.0), default=10.0, show_default=True, help="Seconds to wait for its end."
 )
@@ -21,6 +21,7 @@ def stop_command(name: str, purge: bool, timeout: float, as_json: bool) -> None:
     """End an arbiter in good order; its resources get their safe command, and it removes its objects.
 
     A killed one leaves its board and command blocks. The next start replaces them, and --purge removes them.
+    The board also stays when a part of a sum is lost, which the next server finds there.
     """
     from surffollow.arbiter.name_owner import purge_arbiter, server_pid
     from surffollow.errors import NotRunningError

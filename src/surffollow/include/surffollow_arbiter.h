@@ -34,7 +34,7 @@ extern "C" {
 
 #define SFA_BOARD_MAGIC UINT64_C(3549489896627524947)
 #define SFA_HELLO_MAGIC UINT64_C(3552290382808241491)
-#define SFA_LAYOUT_HASH UINT64_C(9861038677883760776)
+#define SFA_LAYOUT_HASH UINT64_C(8380104231061645664)
 #define SFA_COMMAND_HASH UINT64_C(8684360531530651681)
 #define SFA_CLIENTS 32
 #define SFA_RESOURCES 16
@@ -53,10 +53,10 @@ extern "C" {
 #define SFA_ENTRY_BYTES 192
 #define SFA_GRANTS_BYTES 320
 #define SFA_CONFIG_AT 4096
-#define SFA_STATUS_AT 18048
-#define SFA_CLIENTS_AT 27264
-#define SFA_GRANTS_AT 33408
-#define SFA_REPLIES_AT 43648
+#define SFA_STATUS_AT 18944
+#define SFA_CLIENTS_AT 28160
+#define SFA_GRANTS_AT 34304
+#define SFA_REPLIES_AT 44544
 #define SFA_REFUSED (-1000)
 #define SFA_MAPPED "mapped"
 #define SFA_SYS_FUTEX SYS_futex
@@ -132,11 +132,13 @@ typedef struct sfa_resource_config {
   int64_t safe_period_ns; /* [ns] between safe commands */
   int64_t grace_ns; /* [ns] of the cooperative policy */
   int64_t combined_into; /* number of the combination that sums this part, -1: none */
+  int64_t required; /* 1: that combination makes no sum without it */
+  char combination[48]; /* name of that combination */
   double low[8];
   double high[8];
   double safe[8];
 } sfa_resource_config;
-SF_STATIC_ASSERT(sizeof(sfa_resource_config) == 872, "layout of sfa_resource_config");
+SF_STATIC_ASSERT(sizeof(sfa_resource_config) == 928, "layout of sfa_resource_config");
 SF_STATIC_ASSERT(offsetof(sfa_resource_config, name) == 0, "layout of sfa_resource_config");
 SF_STATIC_ASSERT(offsetof(sfa_resource_config, fields) == 48, "layout of sfa_resource_config");
 SF_STATIC_ASSERT(offsetof(sfa_resource_config, units) == 304, "layout of sfa_resource_config");
@@ -148,9 +150,11 @@ SF_STATIC_ASSERT(offsetof(sfa_resource_config, ttl_ns) == 648, "layout of sfa_re
 SF_STATIC_ASSERT(offsetof(sfa_resource_config, safe_period_ns) == 656, "layout of sfa_resource_config");
 SF_STATIC_ASSERT(offsetof(sfa_resource_config, grace_ns) == 664, "layout of sfa_resource_config");
 SF_STATIC_ASSERT(offsetof(sfa_resource_config, combined_into) == 672, "layout of sfa_resource_config");
-SF_STATIC_ASSERT(offsetof(sfa_resource_config, low) == 680, "layout of sfa_resource_config");
-SF_STATIC_ASSERT(offsetof(sfa_resource_config, high) == 744, "layout of sfa_resource_config");
-SF_STATIC_ASSERT(offsetof(sfa_resource_config, safe) == 808, "layout of sfa_resource_config");
+SF_STATIC_ASSERT(offsetof(sfa_resource_config, required) == 680, "layout of sfa_resource_config");
+SF_STATIC_ASSERT(offsetof(sfa_resource_config, combination) == 688, "layout of sfa_resource_config");
+SF_STATIC_ASSERT(offsetof(sfa_resource_config, low) == 736, "layout of sfa_resource_config");
+SF_STATIC_ASSERT(offsetof(sfa_resource_config, high) == 800, "layout of sfa_resource_config");
+SF_STATIC_ASSERT(offsetof(sfa_resource_config, safe) == 864, "layout of sfa_resource_config");
 
 /* Holder of a resource, and its counters so far. */
 typedef struct sfa_resource_status {
@@ -286,8 +290,9 @@ typedef struct sfa_board_header {
   SF_ALIGNAS(64) int64_t state; /* 0 starting, 1 ready, 2 ended */
   SF_ALIGNAS(64) int64_t heartbeat_ns; /* [ns] last round of the server */
   int64_t rounds; /* looks at the mailboxes so far */
+  SF_ALIGNAS(64) int64_t lost_ns[16]; /* [ns] since when an optional part of a sum is lost; -1: it is held, and lost if the server ends */
 } sfa_board_header;
-SF_STATIC_ASSERT(sizeof(sfa_board_header) == 320, "layout of sfa_board_header");
+SF_STATIC_ASSERT(sizeof(sfa_board_header) == 448, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, magic) == 0, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, version) == 8, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, layout_hash) == 16, "layout of sfa_board_header");
@@ -305,6 +310,7 @@ SF_STATIC_ASSERT(offsetof(sfa_board_header, name) == 104, "layout of sfa_board_h
 SF_STATIC_ASSERT(offsetof(sfa_board_header, state) == 192, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, heartbeat_ns) == 256, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, rounds) == 264, "layout of sfa_board_header");
+SF_STATIC_ASSERT(offsetof(sfa_board_header, lost_ns) == 320, "layout of sfa_board_header");
 
 /* Present command of a resource: the command block NAME.RESOURCE. */
 typedef struct sfa_command_block {
@@ -800,6 +806,17 @@ static inline int sfa_ended(const sfa_client *a) {
 static inline int sfa_status(const sfa_client *a, int resource, sfa_resource_status *out) {
   if (resource < 0 || resource >= SFA_RESOURCES) return 0;
   return sf_latch_read(a->board + a->status_at + SF_CAST(size_t, resource) * SFA_STATUS_BYTES, sizeof *out, out) > 0;
+}
+
+/*
+ * Since when a part of a sum is lost (CLOCK_MONOTONIC, ns), 0: it is not. The sum is its safe command until a client is
+ * granted the part.
+ */
+static inline int64_t sfa_lost_since(const sfa_client *a, int resource) {
+  int64_t lost_ns;
+  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
+  lost_ns = sf_load_acquire(a->board + offsetof(sfa_board_header, lost_ns) + 8 * SF_CAST(size_t, resource));
+  return lost_ns > 0 ? lost_ns : 0;
 }
 
 static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t now, const double *values, int n,

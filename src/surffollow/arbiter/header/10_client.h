@@ -311,6 +311,17 @@ static inline int sfa_status(const sfa_client *a, int resource, sfa_resource_sta
   return sf_latch_read(a->board + a->status_at + SF_CAST(size_t, resource) * SFA_STATUS_BYTES, sizeof *out, out) > 0;
 }
 
+/*
+ * Since when a part of a sum is lost (CLOCK_MONOTONIC, ns), 0: it is not. The sum is its safe command until a client is
+ * granted the part.
+ */
+static inline int64_t sfa_lost_since(const sfa_client *a, int resource) {
+  int64_t lost_ns;
+  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
+  lost_ns = sf_load_acquire(a->board + offsetof(sfa_board_header, lost_ns) + 8 * SF_CAST(size_t, resource));
+  return lost_ns > 0 ? lost_ns : 0;
+}
+
 static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t now, const double *values, int n,
                              int64_t ref_t_ns, const double *ref_pose) {
   unsigned char *item = a->mailbox + offsetof(sfa_mailbox, item) +
