@@ -38,7 +38,7 @@ def new_sample(params, adaptive, sense, inputs, channel):
         newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
         value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
         flicker = HOLD_TOLERANCE_COUNTS * abs(params.scale_m[channel])
-        # the latency is that of the middle of a held value; its first conversion is younger, not of the future
+        # the latency is that of the middle of a held value; its first conversion is younger, at most by it
         younger_ns = min(hold_ns // 2, params.sensor_latency_ns)
         t += younger_ns
         begun_ns = params.sensor_latency_ns - younger_ns
