@@ -75,8 +75,8 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "second sample in the gate": [
         (
             "innovation_gate",
-            "if not INNER_GATE * gate.width_m < abs(innovation_m) <= gate.width_m or",
-            "if INNER_GATE >= 0.0 or",
+            "if not inner_m < abs(innovation_m) <= gate.width_m or",
+            "if inner_m >= 0.0 or",
         )
     ],
     "likelihood of slots": [

@@ -19,6 +19,7 @@ from surffollow.errors import (
     ConfigError,
     InvalidNameError,
     LayoutMismatchError,
+    MapFileError,
     NotRunningError,
     PoseError,
     RefusedError,
@@ -44,9 +45,15 @@ def scaled(norm: float) -> tuple[float, ...]:
     return (0.0, 0.0, 0.1, 0.5 * norm, 0.5 * norm, 0.5 * norm, 0.5 * norm)
 
 
-def test_a_channel_that_no_sensor_can_have_is_a_usage_error(client: Client) -> None:
-    with pytest.raises(UsageError, match="channel must be 0 to 7, not 9"):
-        client.raw_distance(9)
+@pytest.mark.parametrize("channel", [9, -1, 1.0, None, "0"])
+def test_a_channel_that_no_sensor_can_have_is_a_usage_error(client: Client, channel: object) -> None:
+    with pytest.raises(UsageError, match=f"channel must be a whole number from 0 to 7, not {channel!r}"):
+        client.raw_distance(channel)  # type: ignore[arg-type]
+
+
+def test_a_file_name_with_a_null_character_is_a_map_file_error(client: Client) -> None:
+    with pytest.raises(MapFileError, match="null character"):
+        client.upload_map("ground\0.txt")
 
 
 @pytest.mark.parametrize("place", range(7))

@@ -28,6 +28,7 @@ OWNERS = {
     "sample": "measurement",
     "health": "health",
     "frame": "frame_check",
+    "counter": "counter_motion",
     "run": "constant_ranges",
     "response": "response",
     "descent": "descent",

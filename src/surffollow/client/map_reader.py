@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surffollow.client.fence import fence
-from surffollow.errors import BlockError, NotRunningError, RefusedError, RequestTimeoutError
+from surffollow.errors import BlockError, MapFileError, NotRunningError, RefusedError, RequestTimeoutError
 from surffollow.shm import layout_board as lb
 from surffollow.shm import layout_slot as ls
 from surffollow.shm import map_layout as ml
@@ -213,6 +213,8 @@ def upload_map(client: ServiceRequests, path: Path, timeout_s: float, progress: 
     """
     from surffollow.map.formats.text_file import OTHER_SUFFIXES, write_text
 
+    if "\0" in str(path):
+        raise MapFileError(f"the name of a file has no null character, not {str(path)!r}; give another name")
     header, pairs = copy_live_map(client, timeout_s)
     if path.suffix.lower() in OTHER_SUFFIXES:
         from surffollow.map.files import export

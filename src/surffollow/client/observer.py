@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import struct
 import time
 from typing import Any
@@ -151,12 +152,16 @@ class Observer(Attachment):
         UsageError
             no such channel
         """
-        if not 0 <= channel < 8:
-            raise UsageError(f"channel must be 0 to 7, not {channel!r}")
+        try:
+            number = operator.index(channel)
+        except TypeError:
+            number = -1
+        if not 0 <= number < 8:
+            raise UsageError(f"channel must be a whole number from 0 to 7, not {channel!r}")
         if self.dev_vector().status & STALE:
             return float("nan")
         values = self._snapshot(_RANGE.unpack_from, Output.offset("range_m"))
-        return float("nan") if values is None else float(values[channel])
+        return float("nan") if values is None else float(values[number])
 
     def alive(self) -> bool:
         """Whether the service publishes now.

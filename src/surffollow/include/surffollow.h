@@ -410,7 +410,7 @@ typedef struct sf_params {
   int64_t mode; /* 0: paper, 1: adaptive (default follower) */
   int64_t run; /* 0: normal, 1: DRYRUN, 2: FREEZE */
   double offset_m; /* [m] desired stand-off along the beam of channel 0 */
-  int64_t sensor_readings; /* conversions averaged into a reading (paper: 7; in process: 1) */
+  int64_t sensor_readings; /* conversions averaged into a reading (paper: 7; in process: 1; adaptive, several channels: 1) */
   int64_t ee_readings; /* target points in the rolling mean */
   double interval_size_m; /* [m] radius of an interval */
   int64_t range_size; /* intervals in a range */
@@ -428,7 +428,7 @@ typedef struct sf_params {
   double scale_m[8]; /* [m/count] calibration: range = zero + scale * counts */
   double zero_m[8]; /* [m] calibration: range at 0 counts */
   double tool_from_sensor[56]; /* [m, 1] mounts: x y z qx qy qz qw per channel */
-  double plant_tau_s; /* [s] adaptive: assumed time constant of the vertical axis */
+  double plant_tau_s; /* [s] adaptive: assumed time constant of the vertical axis; a great change moves the tool */
   double plant_v_max_mps; /* [m/s] adaptive: assumed speed limit of the vertical axis */
   double plant_a_max_mps2; /* [m/s^2] adaptive: assumed acceleration limit of the vertical axis */
   double score_travel_m; /* [m] adaptive: arc length over which model errors are averaged */

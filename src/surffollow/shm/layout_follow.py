@@ -71,7 +71,9 @@ class Params(Schema):
     mode = I64(doc="0: paper, 1: adaptive (default follower)")
     run = I64(doc="0: normal, 1: DRYRUN, 2: FREEZE")
     offset_m = F64(unit="m", doc="desired stand-off along the beam of channel 0")
-    sensor_readings = I64(doc="conversions averaged into a reading (paper: 7; in process: 1)")
+    sensor_readings = I64(
+        doc="conversions averaged into a reading (paper: 7; in process: 1; adaptive, several channels: 1)"
+    )
     ee_readings = I64(doc="target points in the rolling mean")
     interval_size_m = F64(unit="m", doc="radius of an interval")
     range_size = I64(doc="intervals in a range")
@@ -89,7 +91,9 @@ class Params(Schema):
     scale_m = F64(CHANNELS, unit="m/count", doc="calibration: range = zero + scale * counts")
     zero_m = F64(CHANNELS, unit="m", doc="calibration: range at 0 counts")
     tool_from_sensor = F64(CHANNELS * 7, unit="m, 1", doc="mounts: x y z qx qy qz qw per channel")
-    plant_tau_s = F64(unit="s", doc="adaptive: assumed time constant of the vertical axis")
+    plant_tau_s = F64(
+        unit="s", doc="adaptive: assumed time constant of the vertical axis; a great change moves the tool"
+    )
     plant_v_max_mps = F64(unit="m/s", doc="adaptive: assumed speed limit of the vertical axis")
     plant_a_max_mps2 = F64(unit="m/s^2", doc="adaptive: assumed acceleration limit of the vertical axis")
     score_travel_m = F64(unit="m", doc="adaptive: arc length over which model errors are averaged")

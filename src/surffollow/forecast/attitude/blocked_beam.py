@@ -74,7 +74,7 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
 
 @jit
 def is_blocked(params, adaptive, c):
-    """Whether the range of a beam of three stayed while its sensor moved and the others changed.
+    """Whether the range of a beam of three or four stayed while its sensor moved and the others changed.
 
     So one of four that is left out does not come back while the ring turns: it may meet the plane by chance.
     """

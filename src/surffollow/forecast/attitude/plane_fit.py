@@ -89,7 +89,7 @@ def shift_slopes(plane, dx, dy):
 def update_plane(params, adaptive, dt):
     """Update slopes, rates and curvature with the accepted beams; returns the regression on these.
 
-    The first planes have the full gain. Slopes that are not observed are kept, without a rate.
+    The n-th plane has a gain of 1/n at least. Slopes that are not observed are kept, without a rate.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ from surffollow.shm.layout_follow import RUN_NORMAL
 
 TAU_RATIO = 1.5  # between neighbouring τ
 # gains of the observed axis per report: position, velocity [1/s], disturbance [1/s]. The last is learned over
-# 3 s, some 60 τ: what is quicker may be the axis itself, which the models describe roughly
+# 3 to 4 s, some 100 τ: what is quicker may be the axis itself, which the models describe roughly
 AXIS_GAINS = (0.3, 2.0, 0.1)
 ONE_SIDED = 0.5  # of the mean distance of the reports from the observed axis: their mean with its sign
 
