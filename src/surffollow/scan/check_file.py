@@ -44,7 +44,7 @@ class Facts:
     climb: float
     tilt: float
     rows: float
-    vertical: float
+    vertical: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
         numbers("wrist_rad", 4, (1, 1))[0].tolist(),
         *(positive(k) for k in ("gap_m", "swath_m", "speed_mps", "acceleration_mps2")),
         *(positive(k) for k in ("lateral_mps2", "vertical_mps", "tilt_radps", "rows")),
-        positive("vertical_mps2") if "vertical_mps2" in found else math.inf,
+        vertical=positive("vertical_mps2") if "vertical_mps2" in found else math.inf,
     )
 
 

@@ -278,7 +278,7 @@ def plan_figures(path: ScanPath) -> dict[str, Any]:
         "lift_mean_m": of(path.lift_m[on], np.mean),
         "tilt_max_deg": of(tilt[on], np.max),
         "climb_max_mps": of(motion["vertical_mps"], np.max),
-        "vertical_max_mps2": of(motion["vertical_mps2"], np.max),
+        "climb_max_mps2": of(motion["vertical_mps2"], np.max),
         "unplanned": int(np.count_nonzero(np.isnan(path.position_m[:, 2]))),
         "flags": flag_counts(path.flags),
         "scan_rate_m2ps": _rate(path, length),

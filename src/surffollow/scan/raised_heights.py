@@ -45,7 +45,7 @@ def raised_heights(path: ScanPath, limits: MotionLimits) -> ScanPath:
     >>> path.position_m[:, 2] = np.where(np.arange(21) == 10, 0.05, 0.0)      # a peak of 5 cm
     >>> z_m = raised_heights(path, MotionLimits(vertical_mps2=1.0)).position_m[:, 2]
     >>> np.round(z_m[6:15], 3)
-    array([0.  , 0.01, 0.03, 0.05, 0.06, 0.05, 0.03, 0.01, 0.  ])
+    array([0.   , 0.01 , 0.03 , 0.045, 0.05 , 0.045, 0.03 , 0.01 , 0.   ])
     """
     z = path.position_m[:, 2]
     known = np.isfinite(z).astype(np.int8)
