@@ -125,13 +125,13 @@ def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
 
     if found.get("format") != FORMAT:
         raise ScanFileError(f"{path} is no path file of this version; expected the format {FORMAT}")
+    motion = ["speed_mps", "acceleration_mps2", "lateral_mps2", "vertical_mps", "tilt_radps"]
+    last = [k for k in ("vertical_mps2",) if k in found]
     return Facts(
         numbers("body_m", 3, (1, MAX_POINTS)),
         numbers("region_m", 2, (3, MAX_POINTS)),
         numbers("wrist_rad", 4, (1, 1))[0].tolist(),
-        *(positive(k) for k in ("gap_m", "swath_m", "speed_mps", "acceleration_mps2")),
-        *(positive(k) for k in ("lateral_mps2", "vertical_mps", "tilt_radps", "rows")),
-        vertical=positive("vertical_mps2") if "vertical_mps2" in found else math.inf,
+        *(positive(k) for k in ("gap_m", "swath_m", *motion, "rows", *last)),
     )
 
 
