@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from surffollow.errors import ScanInputError
 from surffollow.scan.body import body_points
 from surffollow.scan.checks import Floats, positive
-from surffollow.scan.clearance import clear_ground
+from surffollow.scan.clearance import clear_ground, with_clearance
 from surffollow.scan.envelope import Envelope, envelope_of
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
 from surffollow.scan.grid import TerrainGrid
@@ -159,7 +159,7 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         path = path.with_flag(STOP, np.isin(np.arange(len(path)), (0, len(path) - 1)))
     else:
         path = timed(path, settings.motion)
-    path = clear_ground(raised_heights(path, settings.motion), body, local, gap)
+    path = with_clearance(raised_heights(path, settings.motion), body, local, gap)
     refuse_fast(path, settings.motion)
     if settings.work_space is not None:
         base = settings.work_space.base_m if base is None else base
