@@ -104,6 +104,34 @@ def least_lift_lp(z, grid, tip, offsets, slope_limits):
     return float(got.fun)
 
 
+def least_raise_lp(t, z, speed, acceleration):
+    """Least sum [m] of raises of heights z at times t that keep a vertical speed and acceleration: an LP.
+
+    The tool rests before the first and after the last row, each as far away as half a step.
+    """
+    n = len(t)
+    a, b = [], []
+
+    def within(row, most):
+        for sign in (1.0, -1.0):
+            a.append(sign * row)
+            b.append(most - sign * float(row @ z))
+
+    def climb(k):
+        row = np.zeros(n)
+        if 0 <= k < n - 1:
+            row[k], row[k + 1] = -1.0 / (t[k + 1] - t[k]), 1.0 / (t[k + 1] - t[k])
+        return row
+
+    for k in range(n):
+        if k < n - 1:
+            within(climb(k), speed)
+        before, behind = t[max(k - 1, 0)], t[min(k + 1, n - 1)]
+        within(climb(k) - climb(k - 1), acceleration * 0.5 * (behind - before))
+    got = linprog(np.ones(n), A_ub=np.array(a), b_ub=np.array(b), bounds=(0, None), method="highs")
+    return float(got.fun)
+
+
 def least_lift_search(z, grid, tip, body, limit, n=31):
     """Least lift over a raster of attitudes, each with its own footprint."""
     angles = np.linspace(-limit, limit, n)

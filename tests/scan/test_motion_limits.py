@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import naive_field as naive
+from scan.row_figures import greatest
 from surffollow.cli.scan_plan import REMEDIES
 from surffollow.errors import ScanInputError
 from surffollow.scan.attitude_angles import normals_of, wrist_angles
@@ -49,36 +48,6 @@ def findings_of(ground, file):
     return {f.name: f for f in check_path(ground.heights_m, ground.origin_m, ground.grid_m, file)}
 
 
-def greatest(file):
-    """Greatest figures of a path file's rows: velocities and angles of three rows at a time."""
-    with open(file) as f:
-        rows = list(csv.DictReader(line for line in f if not line.startswith("#")))
-    t, *place = ([float(r[c]) for r in rows] for c in ("t_s", "x_m", "y_m", "z_m"))
-    q = np.array([[float(r[c]) for c in ("qx", "qy", "qz", "qw")] for r in rows])
-    turned = Rotation.from_quat(q)
-    angles = (turned[:-1].inv() * turned[1:]).magnitude()
-    made = dict.fromkeys((f.name for f in fields(MotionLimits)), 0.0)
-
-    def most(name, value):
-        made[name] = max(made[name], value)
-
-    v = np.diff(place, axis=1) / np.diff(t)
-    for k in range(len(rows) - 1):
-        speed = math.hypot(v[0, k], v[1, k])
-        most("speed_mps", speed)
-        if not math.isnan(v[2, k]):
-            most("vertical_mps", abs(v[2, k]))
-        most("tilt_radps", float(angles[k]) / (t[k + 1] - t[k]))
-        if k:
-            dt = 0.5 * (t[k + 1] - t[k - 1])
-            before = math.hypot(v[0, k - 1], v[1, k - 1])
-            most("acceleration_mps2", abs(speed - before) / dt)
-            turn = math.atan2(v[1, k], v[0, k]) - math.atan2(v[1, k - 1], v[0, k - 1])
-            turn = abs(math.remainder(turn, 2 * math.pi))
-            most("lateral_mps2", turn * 0.5 * (speed + before) / dt)
-    return made
-
-
 def over(file, limits):
     """Figures above their limits by more than the rounding of a file."""
     found = greatest(file)
@@ -91,6 +60,7 @@ MOTIONS = {
     "little acceleration": MotionLimits(0.3, 0.3, 0.3),
     "much across": MotionLimits(0.4, 0.25, 2.66),
     "slow wrist": MotionLimits(0.3, 1.0, 1.0, vertical_mps=0.2, tilt_radps=0.5),
+    "soft lift": MotionLimits(0.4, 1.0, 1.0, vertical_mps2=0.3),
 }
 
 
@@ -100,7 +70,8 @@ def test_a_written_plan_keeps_every_limit_of_motion_and_its_gap(motion, shaper, 
     _, ground, file = plan_of(tmp_path, motion=motion, shaper=shaper)
     assert over(file, motion) == {}
     found = findings_of(ground, file)
-    for name in ("speed", "climb", "tilt_rate", "acceleration", "lateral", "clearance", "wrist", "coverage"):
+    of_motion = ("speed", "climb", "tilt_rate", "acceleration", "lateral", "vertical_acceleration")
+    for name in (*of_motion, "clearance", "between_rows", "wrist", "coverage"):
         assert found[name].ok, found[name].text
 
 
@@ -174,6 +145,7 @@ def test_attitudes_are_turned_as_little_as_the_rate_allows():
         ("lateral_mps2", "lateral", "m/s² across"),
         ("vertical_mps", "climb", "m/s upwards"),
         ("tilt_radps", "turn_rate", "rad/s of the whole tool"),
+        ("vertical_mps2", "vertical_acceleration", "m/s² up and down"),
     ],
 )
 def test_the_checker_names_the_limit_that_is_not_kept_with_place_and_figure(limit, finding, unit, tmp_path):

@@ -34,6 +34,7 @@ REMEDIES = {
     "reach": "choose a smaller --region or a larger --reach",
     "speed": _SLOWER,
     "climb": _SLOWER,
+    "vertical_acceleration": "or with a higher --vertical-acceleration",
     "tilt_rate": _SLOWER,
     "turn_rate": _SLOWER,
     "acceleration": _SLOWER,
@@ -70,6 +71,11 @@ REMEDIES = {
     show_default=True,
     help="Greatest acceleration along and across the path [m/s²].",
 )
+@click.option(
+    "--vertical-acceleration",
+    type=ACCELERATION,
+    help="Greatest acceleration up and down [m/s²].  [default: that of --acceleration]",
+)
 @click.option("--wrist", type=ANGLE, default="45deg", show_default=True, help="Limit of both wrist angles.")
 @click.option(
     "--following",
@@ -104,6 +110,7 @@ def plan_command(
     reach: tuple[float, ...] | None,
     speed: float,
     acceleration: float,
+    vertical_acceleration: float | None,
     wrist: float,
     following: str,
     lateral_mode: float,
@@ -149,7 +156,12 @@ def plan_command(
         base_m=base,
         following=following,
         wrist=WristLimits.symmetric(wrist),
-        motion=MotionLimits(speed_mps=speed, acceleration_mps2=acceleration, lateral_mps2=acceleration),
+        motion=MotionLimits(
+            speed_mps=speed,
+            acceleration_mps2=acceleration,
+            lateral_mps2=acceleration,
+            vertical_mps2=acceleration if vertical_acceleration is None else vertical_acceleration,
+        ),
         work_space=space,
         shaper=Shaper.zvd(lateral_mode, damping) if lateral_mode > 0.0 else None,
     )
@@ -182,8 +194,15 @@ def plan_command(
 @click.command("check")
 @click.argument("files", nargs=-1, required=True, metavar="[MAP] PATH", type=EXISTING)
 @LIVE
+@click.option(
+    "--vertical-acceleration",
+    type=ACCELERATION,
+    help="Greatest acceleration up and down [m/s²].  [default: that of the file, if it has one]",
+)
 @JSON
-def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> None:
+def check_command(
+    files: tuple[str, ...], live: str | None, vertical_acceleration: float | None, as_json: bool
+) -> None:
     """Check a path file against MAP: clearance, flags, attitude, limits, coverage. Exit code 1: not accepted.
 
     Speeds and turn rates may exceed their limits by 2 %, accelerations by 10 %: they are quotients of
@@ -192,12 +211,16 @@ def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> No
     ground are a warning, too. Warnings do not change the exit code.
     """
     from surffollow.scan.check import check_path
+    from surffollow.scan.checks import positive
     from surffollow.scan.path_file import read_path
 
+    if vertical_acceleration is not None:
+        positive("--vertical-acceleration", vertical_acceleration, "m/s²")
     if len(files) != (2 if live is None else 1):
         raise click.UsageError("give MAP and PATH, or --live NAME and PATH")
     ground = ground_of(files[0] if live is None else None, live, gap_of(read_path(files[-1])))
-    findings = check_path(ground.heights_m, ground.origin_m, ground.grid_m, files[-1])
+    place = (ground.heights_m, ground.origin_m, ground.grid_m)
+    findings = check_path(*place, files[-1], vertical_mps2=vertical_acceleration)
     accepted = all(f.ok for f in findings)
     if as_json:
         rows = [
@@ -207,7 +230,7 @@ def check_command(files: tuple[str, ...], live: str | None, as_json: bool) -> No
         click.echo(json.dumps({"accepted": accepted, "findings": rows}))
     else:
         for f in findings:
-            click.echo(f"{f.mark}  {f.name:<17} {f.text}")
+            click.echo(f"{f.mark}  {f.name:<21} {f.text}")
         warned = ", ".join(f.name for f in findings if f.warning)
         click.echo(
             ("accepted" if accepted else "NOT accepted") + (f", with a warning: {warned}" if warned else "")

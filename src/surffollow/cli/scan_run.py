@@ -149,7 +149,7 @@ def _show(
         return
     findings = check_path(mapped.heights_m, mapped.origin_m, mapped.grid_m, path)
     for f in findings:
-        click.echo(f"{f.mark} {f.name:<17} {f.text}", err=True)
+        click.echo(f"{f.mark} {f.name:<21} {f.text}", err=True)
     if picture:
         from surffollow.scan.pictures import draw_plan
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,12 @@ OUT_OF_REACH, WRIST_LIMIT = 64, 8
 
 
 def check_path(
-    heights_m: Array, origin_m: tuple[float, float], grid_m: float, path: str | os.PathLike[str]
+    heights_m: Array,
+    origin_m: tuple[float, float],
+    grid_m: float,
+    path: str | os.PathLike[str],
+    *,
+    vertical_mps2: float | None = None,
 ) -> list[Finding]:
     """All findings about a path file over a map.
 
@@ -44,6 +50,8 @@ def check_path(
         outer corner of heights_m[0, 0]
     grid_m : float [m]
     path : path of the file
+    vertical_mps2 : float [m/s²]
+        limit of the vertical acceleration; None: that of the file, if it has one
 
     Returns
     -------
@@ -70,6 +78,8 @@ def check_path(
     True
     """
     facts, at, rows = read_rows(path)
+    if vertical_mps2 is not None:
+        facts = replace(facts, vertical=vertical_mps2)
     axes = rotations(rows.quaternion)
     inner = between(path, rows, facts.body, grid_m)
     every = Poses(

@@ -28,7 +28,10 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Facts:
-    """Header of the file; lengths in metres, angles in radians, SI units of motion; the number of rows."""
+    """Header of the file; lengths in metres, angles in radians, SI units of motion; the number of rows.
+
+    `vertical` is infinite for files of before there was a limit of the vertical acceleration.
+    """
 
     body: Array
     region: Array
@@ -41,6 +44,7 @@ class Facts:
     climb: float
     tilt: float
     rows: float
+    vertical: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -121,12 +125,13 @@ def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
 
     if found.get("format") != FORMAT:
         raise ScanFileError(f"{path} is no path file of this version; expected the format {FORMAT}")
+    motion = ["speed_mps", "acceleration_mps2", "lateral_mps2", "vertical_mps", "tilt_radps"]
+    last = [k for k in ("vertical_mps2",) if k in found]
     return Facts(
         numbers("body_m", 3, (1, MAX_POINTS)),
         numbers("region_m", 2, (3, MAX_POINTS)),
         numbers("wrist_rad", 4, (1, 1))[0].tolist(),
-        *(positive(k) for k in ("gap_m", "swath_m", "speed_mps", "acceleration_mps2")),
-        *(positive(k) for k in ("lateral_mps2", "vertical_mps", "tilt_radps", "rows")),
+        *(positive(k) for k in ("gap_m", "swath_m", *motion, "rows", *last)),
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +16,7 @@ LAST_DIGIT = 1e-9  # [m], [s] of a path file
 
 
 def check_motion(t_s: Array, position: Array, quaternion: Array, up: Array, facts: Facts) -> list[Finding]:
-    """Findings about speed, climb, turn rates and both accelerations.
+    """Findings about speed, climb, turn rates and the three accelerations.
 
     Parameters
     ----------
@@ -44,14 +46,18 @@ def check_motion(t_s: Array, position: Array, quaternion: Array, up: Array, fact
     along = np.abs(np.diff(speed)) / mid - rounding
     across = bend * mean / mid - rounding
     climb = np.where(np.isnan(move[:, 2]), 0.0, np.abs(move[:, 2]) / dt)
+    upward = vertical_acceleration(dt, move[:, 2])
 
-    def finding(name: str, values: Array, most: float, unit: str, how: str, part: float) -> Finding:
+    def finding(
+        name: str, values: Array, most: float, unit: str, how: str, part: float, remedy: str = ""
+    ) -> Finding:
         k = int(np.argmax(values)) if len(values) else 0  # NaN counts as the greatest
         value = max(float(values[k]), 0.0) if len(values) else 0.0
         ok = value <= most * part
-        text = f"{value:.4g} {unit} of {most:g} {unit}{how} (tolerance {part - 1:.0%})"
+        limit = f"{most:g} {unit}{how} (tolerance {part - 1:.0%})" if most < math.inf else f"no limit{how}"
+        text = f"{value:.4g} {unit} of {limit}"
         if not ok:
-            text += f", at {t_s[k]:.3f} s near ({position[k, 0]:.3f}, {position[k, 1]:.3f}) m"
+            text += f", at {t_s[k]:.3f} s near ({position[k, 0]:.3f}, {position[k, 1]:.3f}) m{remedy}"
         return Finding(name, ok, text, value)
 
     return [
@@ -61,7 +67,32 @@ def check_motion(t_s: Array, position: Array, quaternion: Array, up: Array, fact
         finding("turn_rate", whole, facts.tilt, "rad/s", " of the whole tool", MOTION_SPARE),
         finding("acceleration", along, facts.acceleration, "m/s²", " along the path", ACCELERATION_SPARE),
         finding("lateral", across, facts.lateral, "m/s²", " across the path", ACCELERATION_SPARE),
+        finding(
+            *("vertical_acceleration", upward, facts.vertical, "m/s²", " up and down", ACCELERATION_SPARE),
+            "; plan it with a lower speed",
+        ),
     ]
+
+
+def vertical_acceleration(dt: Array, rise: Array) -> Array:
+    """Acceleration of the height at each row, its first and last from rest and to rest.
+
+    Parameters
+    ----------
+    dt : (n - 1,) float64 [s]    from each row to the next
+    rise : (n - 1,) float64 [m]  NaN: a row has no height
+
+    Returns
+    -------
+    (n,) float64 [m/s²]          without what the last digits of a file can make; 0 beside rows without height
+    """
+    before, behind = np.append(0.0, rise / dt), np.append(rise / dt, 0.0)
+    time = 0.5 * (np.append(0.0, dt) + np.append(dt, 0.0))
+    least = np.minimum(np.append(dt[0], dt), np.append(dt, dt[-1]))
+    fast = np.maximum(np.abs(before), np.abs(behind))
+    rounding = 4.0 * LAST_DIGIT * (1.0 + fast) / least**2
+    made: Array = np.nan_to_num(np.abs(behind - before) / time - rounding)
+    return made
 
 
 def check_rest(t_s: Array, position: Array, flags: NDArray[np.int64], facts: Facts) -> Finding:

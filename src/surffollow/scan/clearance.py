@@ -165,12 +165,36 @@ def clear_ground(
         # a straight way rises by what both its ends rise by
         more = np.maximum(np.append(way, 0.0), np.append(0.0, way))
         lift, position[:, 2] = lift + more, position[:, 2] + more
+    return _measured(path.changed(position_m=position, lift_m=path.lift_m + lift), compared, gap)
+
+
+def with_clearance(path: ScanPath, body_points_m: ArrayLike, ground: TerrainGrid, gap_m: float) -> ScanPath:
+    """Measure a path that was raised since it was cleared: `clearance_m` and the flag `lifted`.
+
+    Parameters
+    ----------
+    path : ScanPath
+        with attitudes and `lift_m`
+    body_points_m : (m, 3) float [m]
+        as for `clear_ground`
+    ground : TerrainGrid
+        not expanded
+    gap_m : float [m]
+
+    Returns
+    -------
+    ScanPath
+        places and attitudes are kept
+    """
+    compared = Clearance.over(ground, body_points(body_points_m))
+    return _measured(path, compared, positive("gap_m", gap_m) + SPARE_M)
+
+
+def _measured(path: ScanPath, compared: Clearance, gap: float) -> ScanPath:
     most = LOOK_GAPS * gap
-    clearance = compared.distances(position, turned, most)
+    clearance = compared.distances(path.position_m, path.quaternion, most)
     clearance[clearance >= most] = np.nan
-    total = path.lift_m + lift
-    made = path.changed(position_m=position, lift_m=total, clearance_m=clearance)
-    return made.with_flag(LIFTED, total > LIFTED_M)
+    return path.changed(clearance_m=clearance).with_flag(LIFTED, path.lift_m > LIFTED_M)
 
 
 def control_points(path: ScanPath, body: Floats) -> Floats:

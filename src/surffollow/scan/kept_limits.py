@@ -19,6 +19,7 @@ NAMES = {
     "lateral_mps2": ("acceleration across the path", "m/s²"),
     "vertical_mps": ("vertical speed", "m/s"),
     "tilt_radps": ("turn rate of the wrist", "rad/s"),
+    "vertical_mps2": ("vertical acceleration", "m/s²"),
 }
 
 
@@ -32,9 +33,9 @@ def row_motion(path: ScanPath) -> dict[str, Floats]:
 
     Returns
     -------
-    dict of (n - 1,) or (n - 2,) float64
+    dict of (n - 1,), (n - 2,) or (n,) float64
         speeds [m/s] and turn rate [rad/s] from each row to the next, accelerations [m/s²] about each row
-        between two others; 0 where a row has no height
+        between two others, that of the height at both ends too, from and to rest; 0 where a row has no height
     """
     dt = np.diff(path.t_s)
     step = np.diff(path.position_m, axis=0)
@@ -42,12 +43,15 @@ def row_motion(path: ScanPath) -> dict[str, Floats]:
     mid = 0.5 * (dt[1:] + dt[:-1])
     heading = np.arctan2(step[:, 1], step[:, 0])
     bend = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
+    climb = step[:, 2] / dt
+    upward = np.diff(np.r_[0.0, climb, 0.0]) / (0.5 * (np.r_[0.0, dt] + np.r_[dt, 0.0]))
     return {
         "speed_mps": speed,
         "acceleration_mps2": np.abs(np.diff(speed)) / mid,
         "lateral_mps2": bend * 0.5 * (speed[1:] + speed[:-1]) / mid,
-        "vertical_mps": np.abs(np.nan_to_num(step[:, 2])) / dt,
+        "vertical_mps": np.abs(np.nan_to_num(climb)),
         "tilt_radps": turned_rad(path.quaternion) / dt,
+        "vertical_mps2": np.abs(np.nan_to_num(upward)),
     }
 
 

@@ -42,7 +42,7 @@ ATTITUDE_SPARE = 1e-6  # as `scan check` allows
 DECIMALS = 9  # nanometres and nanoseconds, wherever the origin is: rows lie far farther apart
 NUMBERS = (
     *("gap_m", "grid_m", "swath_m", "speed_mps", "acceleration_mps2", "lateral_mps2", "vertical_mps"),
-    "tilt_radps",
+    *("tilt_radps", "vertical_mps2"),
 )
 # of arrays, possible lengths of each axis
 ARRAYS: dict[str, tuple[tuple[int, ...], ...]] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike
 from surffollow.errors import ScanInputError
 from surffollow.scan.body import body_points
 from surffollow.scan.checks import Floats, positive
-from surffollow.scan.clearance import clear_ground
+from surffollow.scan.clearance import clear_ground, with_clearance
 from surffollow.scan.envelope import Envelope, envelope_of
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
 from surffollow.scan.grid import TerrainGrid
-from surffollow.scan.kept_limits import limited_tilt, refuse_fast
+from surffollow.scan.kept_limits import limited_tilt, refuse_fast, row_motion
 from surffollow.scan.limits import WorkSpace, WristLimits
 from surffollow.scan.path import OUT_OF_REACH, STOP, WRIST_LIMIT, ScanPath, flag_counts
+from surffollow.scan.raised_heights import raised_heights
 from surffollow.scan.schemes import arcs, lanes
 from surffollow.scan.serpentine import outline
 from surffollow.scan.shaped_motion import SAMPLES_PER_PERIOD, limited_climb, shaped_within
@@ -154,12 +155,11 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         rate = max(settings.motion.speed_mps / step, SAMPLES_PER_PERIOD * shaper.highest_hz)
         centre = path.facts["base_m"] if settings.scheme == "arcs" else None
         planar = shaped_within(path, shaper, rate, settings.motion, base_m=centre)
-        path = limited_climb(laid(planar), settings.motion.vertical_mps)
-        path = clear_ground(path, body, local, gap)
-        ends = np.isin(np.arange(len(path)), (0, len(path) - 1))
-        path = path.with_flag(STOP, ends)
+        path = laid(planar)
+        path = path.with_flag(STOP, np.isin(np.arange(len(path)), (0, len(path) - 1)))
     else:
         path = timed(path, settings.motion)
+    path = with_clearance(raised_heights(path, settings.motion), body, local, gap)
     refuse_fast(path, settings.motion)
     if settings.work_space is not None:
         base = settings.work_space.base_m if base is None else base
@@ -172,11 +172,7 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
         "body_width_m": width,
         "wrist_rad": settings.wrist.as_array().tolist(),
         "following": settings.following,
-        "speed_mps": settings.motion.speed_mps,
-        "acceleration_mps2": settings.motion.acceleration_mps2,
-        "lateral_mps2": settings.motion.lateral_mps2,
-        "vertical_mps": settings.motion.vertical_mps,
-        "tilt_radps": settings.motion.tilt_radps,
+        **asdict(settings.motion),
     }
     if shaper is not None:
         facts["shaper_s"] = shaper.times_s.tolist()
@@ -262,10 +258,8 @@ def plan_figures(path: ScanPath) -> dict[str, Any]:
     on = path.passes >= 0
     known = on & np.isfinite(path.clearance_m)
     tilt = np.degrees(np.arccos(np.clip(path.normal[:, 2], -1.0, 1.0)))
-    dt = np.diff(path.t_s)
-    z = path.position_m[:, 2]
     with np.errstate(invalid="ignore", divide="ignore"):
-        climb = np.abs(np.diff(z)) / dt
+        motion = row_motion(path)
     length = float(np.sum(np.linalg.norm(np.diff(path.position_m[on][:, :2], axis=0), axis=1)))
 
     def of(values: Floats, how: Any) -> float | None:
@@ -279,11 +273,13 @@ def plan_figures(path: ScanPath) -> dict[str, Any]:
         "length_m": length,
         "clearance_min_m": of(path.clearance_m[known], np.min),
         "clearance_mean_m": of(path.clearance_m[known], np.mean),
+        "clearance_max_m": of(path.clearance_m[known], np.max),
         "lift_max_m": of(path.lift_m[on], np.max),
         "lift_mean_m": of(path.lift_m[on], np.mean),
         "tilt_max_deg": of(tilt[on], np.max),
-        "climb_max_mps": of(climb, np.max),
-        "unplanned": int(np.count_nonzero(np.isnan(z))),
+        "climb_max_mps": of(motion["vertical_mps"], np.max),
+        "climb_max_mps2": of(motion["vertical_mps2"], np.max),
+        "unplanned": int(np.count_nonzero(np.isnan(path.position_m[:, 2]))),
         "flags": flag_counts(path.flags),
         "scan_rate_m2ps": _rate(path, length),
     }

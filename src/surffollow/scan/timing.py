@@ -30,6 +30,8 @@ class MotionLimits:
         up and down
     tilt_radps : float
         turn rate of the whole tool: tilt, and turn about the vertical
+    vertical_mps2 : float
+        acceleration up and down
 
     Examples
     --------
@@ -44,6 +46,7 @@ class MotionLimits:
     lateral_mps2: float = 2.66
     vertical_mps: float = 1.5
     tilt_radps: float = 3.0
+    vertical_mps2: float = 2.66
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
