@@ -28,7 +28,6 @@ OWNERS = {
     "sample": "measurement",
     "health": "health",
     "frame": "frame_check",
-    "counter": "counter_motion",
     "run": "constant_ranges",
     "response": "response",
     "descent": "descent",

@@ -10,7 +10,7 @@ from surffollow.forecast.attitude import attitude
 from surffollow.forecast.modes import orients
 from surffollow.forecast.plant import axis_model, controller_clock, plant_identification, shadow_axes
 from surffollow.forecast.pose import newest_pose
-from surffollow.forecast.sensing import clock, counter_motion, health, kinematics, measurement, standoff
+from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
 from surffollow.forecast.setpoint import preview_control, setpoint_blend, setpoint_limits, tested_setpoint
 from surffollow.forecast.terrain import known_ground, lookahead_sensor, preview, terrain_buffer
 from surffollow.shm import layout_adaptive
@@ -132,7 +132,6 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
         if kinematics.update_kinematics(params, adaptive.kinematics, sense, before_ns == 0):
             setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
         plant_identification.update_plant(params, adaptive, sense, inputs)
-        counter_motion.observe_counter_motion(params, adaptive, tool_z)
     measurement.process_sample(params, adaptive, sense, fold, inputs, output, pose)
     if params.n_channels > 1:
         lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)

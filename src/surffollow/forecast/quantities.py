@@ -21,7 +21,6 @@ PLAUSIBLE_SLOPE = 0.2  # of ground that nothing is known of
 LEVEL_SHARE = 0.5  # of the travel since the newest sample of a slow sensor: ground that falls is level there
 MAX_SLOPE = 3.0  # 72 degrees: steeper is no surface that a tool follows
 MEAN_TO_SIGMA = 1.25  # from the mean of |x| to the standard deviation of a normal distribution, √(π/2)
-LOST_SHARE = 0.35  # of the stand-off that may be taken unseen, or against the demands: then none is valid
 APART_M = 5e-3  # footprints so far apart are of two places: one leads, is off the path, gives a slope
 REPEAT_BAND = 0.25  # standard deviations: a range so near the first of a run repeats it; 1 of 7 by chance
 

@@ -57,7 +57,7 @@ def forget_surface(state):
     # the tests of the sensor begin anew with the next sample; the usual number of repeated ranges stays
     restart_test(adaptive.response)
     adaptive.repeats.count = adaptive.repeats.unused = adaptive.descent.unexplained = 0
-    adaptive.frame.phase, adaptive.frame.begun_ns, adaptive.counter.against = FRAME_UNKNOWN, 0, 0
+    adaptive.frame.phase, adaptive.frame.begun_ns = FRAME_UNKNOWN, 0
     reset_rotation(adaptive.rotation)
     release_setpoint(adaptive.setpoint)
     withdraw_preview(adaptive.preview)

@@ -26,7 +26,6 @@ from surffollow.shm.layout_adaptive_sensing import (
     Beams,
     Clock,
     ConstantRanges,
-    Counter,
     Descent,
     Frame,
     Health,
@@ -178,7 +177,6 @@ class AdaptiveState(Schema):
     sample = Nested(Sample)
     health = Nested(Health)
     frame = Nested(Frame)
-    counter = Nested(Counter)
     run = Nested(ConstantRanges)
     response = Nested(Response)
     repeats = Nested(Repeats)
@@ -232,7 +230,6 @@ REASON_NAMES = (
     "readings of some sensors are older than those of the others and are left out",
     "the beam does not point downward: the frame of the pose or the mount is wrong",
     "range shrinks when the tool rises: its height has the wrong sign, or the sensor is in its fold-back",
-    "tool sinks although demands raise it: they have the wrong sign, or another controller moves it",
 )
 (
     REASON_NONE,
@@ -256,8 +253,7 @@ REASON_NAMES = (
     REASON_OLD,
     REASON_UPWARD,
     REASON_REVERSED,
-    REASON_AGAINST,
-) = range(22)
+) = range(21)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

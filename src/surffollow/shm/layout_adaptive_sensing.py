@@ -119,14 +119,6 @@ class Frame(Schema):
     most_m = F64(3, unit="m", doc="greatest of these")
 
 
-class Counter(Schema):
-    """Motion of the tool against its demands (`counter_motion`)."""
-
-    top_z_m = F64(unit="m", doc="greatest height of the tool since demands raise it")
-    stop_m = F64(unit="m", doc="way that the axis needed then to stop")
-    against = I64(doc="1: the tool sank too far against its demands, until SFReset")
-
-
 class ConstantRanges(Schema):
     """Run of constant ranges under a tool that moves (`constant_ranges`)."""
 

@@ -50,10 +50,7 @@ def update_unseen(params, adaptive, stuck):
     health, silent = adaptive.health, is_dropout(adaptive)
     if not silent and not stuck:
         health.unseen = 0
-    elif (
-        uncertain_clearance(adaptive, silent, repeats_itself(adaptive))
-        > quantities.LOST_SHARE * params.offset_m
-    ):
+    elif uncertain_clearance(adaptive, silent, repeats_itself(adaptive)) > 0.35 * params.offset_m:
         health.unseen = 1
 
 
@@ -66,8 +63,7 @@ def is_lost(params, adaptive):
     did not see may have come near.
     """
     health, estimate = adaptive.health, adaptive.estimate
-    wrong_frame = health.upward != 0 or is_reversed(adaptive.frame) or adaptive.counter.against != 0
-    if wrong_frame or health.unseen != 0 or estimate.samples == 0:
+    if health.upward != 0 or health.unseen != 0 or is_reversed(adaptive.frame) or estimate.samples == 0:
         return True
     if is_unresponsive(adaptive.response) and is_dropout(adaptive):
         return True
@@ -155,7 +151,6 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
     for found, state, reason in (
         (adaptive.health.upward != 0, layout.DROPOUT, layout.REASON_UPWARD),
         (is_reversed(adaptive.frame), layout.FAULT, layout.REASON_REVERSED),
-        (adaptive.counter.against != 0, layout.FAULT, layout.REASON_AGAINST),
         (begun_anew, layout.FAULT, layout.REASON_NOT_FINITE),
         (stuck and not dropout, layout.STUCK, layout.REASON_STUCK),
         (outside, layout.OUT_OF_RANGE, layout.REASON_OUTSIDE | silent_bits),
