@@ -1,5 +1,4 @@
 /* Ask the header for what a client does wrong, or meets: one line for each answer. */
-#include <errno.h>
 #include "surffollow_arbiter.h"
 
 int main(int argc, char **argv) {
