@@ -78,10 +78,12 @@ def test_the_first_reading_ahead_behind_a_rest_does_not_count_alone():
         (FLAG_INVALID, counts_of(0.1), "DROPOUT", "no reading for several sample intervals"),
     ],
 )
-@pytest.mark.parametrize("per_cycle", [1, 2, 4])
-def test_the_reason_says_whether_readings_are_outside_or_none(per_cycle, flags, counts, health, reason):
+@pytest.mark.parametrize(("per_cycle", "tau_s"), [(1, 0.04), (2, 0.04), (4, 0.04), (2, 0.1)])
+def test_the_reason_says_whether_readings_are_outside_or_none(
+    per_cycle, tau_s, flags, counts, health, reason
+):
     """Two conversions of a cycle outside the window were no reading, one that is none was outside."""
-    kernel = Kernel(default_params(mode=1, orient=0))
+    kernel = Kernel(default_params(mode=1, orient=0, plant_tau_s=tau_s))
     for n in range(260):
         t_ns, good = 10_000 * MS + 4 * MS * n, n < 200
         poses = [(t_ns - 1000, (0.2e-3 * n, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))] if n % 2 == 0 else []
@@ -110,3 +112,23 @@ def test_a_long_hold_puts_no_reading_into_the_future(live):
         assert o["late_s"] >= 0.0, f"cycle {n}"
         ends_ns = t_ns if int(o["status"]) & 1 else ends_ns
     assert ends_ns - last_ns < timeout_ns + 100 * MS
+
+
+def test_a_hold_that_was_set_back_leaves_no_corrected_timestamps():
+    """GIVEN a latency of 200 ms and a hold of 400 ms for 0.3 s THEN timestamps are the sensor's own again.
+
+    Readings seemed to go back in time: they counted as old as usual, for good.
+    """
+    kernel, rng = (
+        Kernel(default_params(mode=1, orient=0, sensor_latency_ns=200 * MS)),
+        np.random.default_rng(1),
+    )
+    p = kernel.params[0]
+    before = int(p["hold_ns"])
+    for n in range(1000):
+        t_ns = 10_000 * MS + 4 * MS * n
+        p["hold_ns"] = 400 * MS if 500 <= n < 575 else before
+        poses = [(t_ns, (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0))] if n % 2 == 0 else []
+        o = kernel.step(t_ns, poses, [(0, 0, 0, counts_of(0.1 + 2e-4 * rng.standard_normal()))])
+    assert kernel.state[0]["adaptive"]["hold"]["shift_ns"] == 0
+    assert o["late_s"] == pytest.approx(0.2, abs=0.01)

@@ -69,7 +69,7 @@ class OldBoard(NamedTuple):
     readable: bool
 
     def lost_ns(self, part: str) -> int:
-        """Since when a part that a sum does not require is lost [ns]; 0: it is not. When in doubt, it is."""
+        """Since when a part that a sum does not require is lost [ns], 0: it is not; now, if not readable."""
         return self.lost.get(part, 0) if self.readable else time.monotonic_ns()
 
 

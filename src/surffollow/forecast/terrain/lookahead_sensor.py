@@ -36,9 +36,8 @@ def observe_lookahead(params, adaptive, sense, pose):
         t = sense.range_t_ns[c] + adaptive.hold.shift_ns
         if sense.fresh[c] == 0 or t < lookahead.range_ns[c] + params.hold_ns:
             continue
-        # behind a rest or a start nothing is known that it could agree with
-        known = t - lookahead.range_ns[c] < LONG_GAP_NS
-        travel_m = kinematics.speed_mps * (t - lookahead.range_ns[c]) * 1e-9
+        since_ns = t - lookahead.range_ns[c]
+        travel_m = kinematics.speed_mps * since_ns * 1e-9
         lookahead.range_ns[c] = t
         t -= int(adaptive.latency.correction_s * 1e9)
         predict_pose(params, adaptive, sense, t, pose)
@@ -47,7 +46,8 @@ def observe_lookahead(params, adaptive, sense, pose):
         along = distance_along(kinematics, dx, dy)
         across = (dx * kinematics.velocity_y_mps - dy * kinematics.velocity_x_mps) / kinematics.speed_mps
         tolerance_m = disagreement_m(adaptive) + PLAUSIBLE_SLOPE * travel_m
-        agrees = known and abs(z - lookahead.height_m[c]) < tolerance_m
+        # behind a rest or a start nothing is known that it could agree with
+        agrees = since_ns < LONG_GAP_NS and abs(z - lookahead.height_m[c]) < tolerance_m
         lookahead.height_m[c] = z
         leads = APART_M < along < (BUFFER_CELLS - 1) * CELL_M and abs(across) < APART_M
         if agrees and leads:
