@@ -239,7 +239,7 @@ class NaiveResponse:
     def _ceiling_m(self, z_m: float) -> float:
         """Two lifts and what the run climbs in an answer, within the window; over ground that is level."""
         sees_m = self.far_m - self.run_m
-        sees_m = max(sees_m - r.MARGIN * self.standoff_m, sees_m / 2.0)
+        sees_m = max(sees_m - self.standoff_m, sees_m / 2.0)
         sees_m += self.low_z_m if self.rose else self.top_z_m
         rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps) if self.rates_mps else 0.0
         climbed_m = rate_mps * (self.answer_s + self.tau_s)

@@ -128,7 +128,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "limits behind a fall": [("setpoint_limits", "factor = params.toward_factor if", "factor = 1.0 if")],
     "two samples of slow sensors": [
         ("pending_samples", "late = is_long(needed * interval_s, tau_s)", "late = False"),
-        ("innovation_gate", "return is_long(adaptive.prediction.interval_s", "return is_long(0.0"),
+        ("innovation_gate", "return is_long(adaptive.hold.interval_s", "return is_long(0.0"),
     ],
     "learned waiting time": [
         (

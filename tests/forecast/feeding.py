@@ -24,7 +24,7 @@ def feed(heights, way=1e-3, sigma=2e-4, seed=0, a=None, start=1):
     """Give heights to the bank, one every 4 ms; returns the state and which of them were accepted."""
     params = default_params()
     a = zeros(AdaptiveState)[0] if a is None else a
-    a["prediction"]["interval_s"], a["plant"]["tau_s"] = 4e-3, 0.04
+    a["hold"]["interval_s"], a["plant"]["tau_s"] = 4e-3, 0.04
     rng = np.random.default_rng(seed)
     taken = []
     for k, h in enumerate(heights):

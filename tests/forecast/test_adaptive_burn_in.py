@@ -228,7 +228,7 @@ def test_slopes_of_ground_that_moves_are_not_expected_of_a_slow_sensor(interval_
     A slow one that was blocked led the tool into the ground.
     """
     a, t_ns = zeros(AdaptiveState)[0], 10**9
-    a["kinematics"]["speed_mps"], a["plant"]["tau_s"], a["prediction"]["interval_s"] = 0.01, 0.04, interval_s
+    a["kinematics"]["speed_mps"], a["plant"]["tau_s"], a["hold"]["interval_s"] = 0.01, 0.04, interval_s
     update_estimate(default_params(), a, t_ns, 0.0, 0.0, 0.1)
     a["bank"]["p11"] = 0.0
     update_estimate(default_params(), a, t_ns + int(1e9 * interval_s), 0.01 * interval_s, 0.0, 0.1)

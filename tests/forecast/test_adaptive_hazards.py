@@ -431,6 +431,31 @@ def test_a_drop_out_on_falling_ground_does_not_go_down_blindly():
     assert -9e-3 < lowest < -1e-3
 
 
+@pytest.mark.parametrize("late_ms", [0, 40, 200])
+def test_a_drop_out_lowers_the_setpoint_by_3_mm_below_that_of_the_last_sample(late_ms):
+    """It was 3 mm below that of the cycle in which the loss was noticed: 3.8 mm."""
+    f, speed, z, places, setpoints = follower(), 0.2, STANDOFF_M, [], []
+    rng = np.random.default_rng(1)
+
+    def ground(x):
+        return -0.15 * x + 2e-3 * math.sin(20.0 * x)
+
+    for t in range(0, 2600, 4):
+        x = speed * t * 1e-3
+        places.append((x, z))
+        f.pose((1000 + t) * MS, pose(x, z))
+        if late_ms <= t <= 2000:
+            seen_x, seen_z = places[(t - late_ms) // 4]
+            range_m = seen_z - ground(seen_x) + 1e-4 * rng.standard_normal()
+            f.step((1000 + t - late_ms) * MS, [range_m])
+        demand = float(f.step((1000 + t) * MS, [math.nan])[2])
+        setpoints.append(z + demand)
+        z += 0.1 * demand
+    fall_m = setpoints[500] - min(setpoints[500:])
+    print(f"{1e3 * fall_m:.2f} mm")
+    assert 2e-3 < fall_m < 3.3e-3
+
+
 def test_what_a_leading_sensor_saw_wrongly_is_used_again_after_it():
     speed, ahead = 0.1, LEADING[1][0]
     rng = np.random.default_rng(1)
@@ -530,7 +555,7 @@ def test_known_ground_is_compared_as_its_naive_twin_does(seed):
             drops += (fading if k else 1.0) * max(peak - h - drops, 0.0)
         bias += float(np.clip(h - known[1] - bias, -1.5e-3, 1.5e-3)) / min(k + 1, 1.0 / SLOW_RATE)
         for slow in (False, True):  # two samples contradict in time, or not
-            a["prediction"]["interval_s"] = interval_s[slow]
+            a["hold"]["interval_s"] = interval_s[slow]
             lowest_m = 1.0 - 3e-3 - (0.0 if slow else drops)
             assert lowest_plan(a, 1.0) == pytest.approx(lowest_m, abs=1e-12)
         assert a["known"]["bias_m"][1] == pytest.approx(bias, abs=1e-12)

@@ -87,7 +87,7 @@ def test_waves_of_which_samples_are_too_sparse_have_no_weight():
     a = zeros(AdaptiveState)[0]
     a["noise"]["sigma_m"], a["weights"]["scored"] = NOISE_M, FULL_POWER_SAMPLES
     a["weights"]["recent_m2"] = a["weights"]["longer_m2"] = (20.0 * NOISE_M) ** 2
-    a["kinematics"]["speed_mps"], a["prediction"]["interval_s"] = 0.4, 0.1
+    a["kinematics"]["speed_mps"], a["hold"]["interval_s"] = 0.4, 0.1
     update_weights(default_params(), a, AT_ONCE_S)
     waves = np.arange(WAVES, N_MODELS)
     length_m = 2.0 * math.pi / BANK[waves, 0]

@@ -319,7 +319,7 @@ def test_a_tool_that_was_led_away_has_no_great_usual_error(away):
     """
     params, adaptive = default_params(offset_m=0.1)[0], zeros(AdaptiveState)[0]
     rng = np.random.default_rng(1)
-    adaptive["plant"]["tau_s"], adaptive["prediction"]["interval_s"] = 0.05, 0.05
+    adaptive["plant"]["tau_s"], adaptive["hold"]["interval_s"] = 0.05, 0.05
     adaptive["noise"]["sigma_m"] = adaptive["noise"]["range_sigma_m"] = 3e-4
     for k in range(1, 1000):
         observe_response(

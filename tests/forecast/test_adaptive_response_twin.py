@@ -30,7 +30,7 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
     adaptive["plant"]["tau_s"] = tau_s
     adaptive["noise"]["sigma_m"], adaptive["noise"]["range_sigma_m"] = 3.0 * SIGMA_M, SIGMA_M  # poses, too
     adaptive["weights"]["scored"] = 500
-    adaptive["prediction"]["interval_s"], adaptive["sample"]["lead_m"] = interval_s, lead_m
+    adaptive["hold"]["interval_s"], adaptive["sample"]["lead_m"] = interval_s, lead_m
     adaptive["latency"]["delay_s"] = delay_s = float(rng.choice([0.0, 0.04]))
     rotation_failed = bool(rng.random() < 0.2)
     adaptive["rotation"]["phase"] = ROTATION_FAILED if rotation_failed else ROTATION_RUN

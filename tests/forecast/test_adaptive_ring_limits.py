@@ -61,7 +61,7 @@ def test_a_disagreement_ends_when_samples_of_100_ms_lie_on_one_plane(interval_s,
     """They were 25 at any rate: beams by turns disagreed for 20 time constants behind a bend."""
     params, a = default_params(), zeros(AdaptiveState)[0]
     params["n_channels"], params["offset_m"], params["gate_m"] = 4, 0.1, 0.5e-3
-    a["plane"]["count"], a["noise"]["sigma_m"], a["prediction"]["interval_s"] = 1, 1e-4, interval_s
+    a["plane"]["count"], a["noise"]["sigma_m"], a["hold"]["interval_s"] = 1, 1e-4, interval_s
     a["beams"]["t_ns"][:4] = 10**9
     for c, (x, y) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
         a["beams"]["footprint_m"][3 * c : 3 * c + 3] = 0.03 * x, 0.03 * y, 0.006 * (x * x - y * y)

@@ -13,7 +13,7 @@ from surffollow.benchmark.hazard_ground import quaternion
 from surffollow.benchmark.hazard_scenarios import FAR_M, FOUR, NEAR_M, STANDOFF_M
 from surffollow.forecast.attitude import rotation_response
 from surffollow.forecast.attitude.attitude import demand_rotation
-from surffollow.forecast.attitude.rotation_response import mean_range, observe_rotation
+from surffollow.forecast.attitude.rotation_response import mean_beam_range, observe_rotation
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
@@ -196,10 +196,10 @@ def ring_params(places_m, orientations):
 def test_the_mean_range_is_of_all_beams_that_are_new():
     params = ring_params(4 * [(0.0, 0.0, 0.0)], 4 * [(0.0, 0.0, 0.0, 1.0)])
     beams, sense = zeros(AdaptiveState)[0]["beams"], zeros(SenseState)[0]
-    assert mean_range(params, beams, sense, 10**9, 0.2) == 0.2
+    assert mean_beam_range(params, beams, sense, 10**9, 0.2) == 0.2
     beams["t_ns"][:3], sense["range_m"][:3] = 10**9 - MS, (0.1, 0.2, 0.6)
     beams["t_ns"][2] -= 100 * MS
-    assert mean_range(params, beams, sense, 10**9, 0.5) == pytest.approx(0.15)
+    assert mean_beam_range(params, beams, sense, 10**9, 0.5) == pytest.approx(0.15)
 
 
 def test_at_the_stand_off_the_mean_range_is_the_stand_off_whatever_the_mounts():
@@ -212,7 +212,7 @@ def test_at_the_stand_off_the_mean_range_is_the_stand_off_whatever_the_mounts():
     for lift_m in (0.0, 0.02):
         ranges = np.array([0.1, 0.1 / math.cos(angle), 0.105]) + lift_m
         beams["t_ns"][:3], sense["range_m"][:3] = 10**9, ranges
-        assert mean_range(params, beams, sense, 10**9, 0.5) == pytest.approx(0.1 + lift_m)
+        assert mean_beam_range(params, beams, sense, 10**9, 0.5) == pytest.approx(0.1 + lift_m)
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -58,7 +58,7 @@ def test_ground_may_move_under_a_tool_that_creeps_unless_the_sensor_is_slow(spee
     """GIVEN models on a steep slope THEN it is limited to 20 %, below 100 mm/s to 20 % of 100 mm/s."""
     a, tau_s = planes(3.0), 0.04
     a["kinematics"]["speed_mps"], a["plant"]["tau_s"] = speed_mps, tau_s
-    a["prediction"]["interval_s"] = interval_s
+    a["hold"]["interval_s"] = interval_s
     blend_setpoints(default_params(), a, 0.0, 0.1)
     assert a["blend"]["model_m"][2] - 2.1 == pytest.approx(1e-3 + steepest * speed_mps * tau_s, rel=1e-6)
 
@@ -82,7 +82,7 @@ def test_falling_ground_that_is_not_seen_counts_as_level(
 ):
     a = planes(slope)
     a["sample"]["lead_m"], a["estimate"]["quick_slope_power"] = -trail_m, 1.0
-    a["prediction"]["interval_s"], a["plant"]["tau_s"] = interval_s, 0.04
+    a["hold"]["interval_s"], a["plant"]["tau_s"] = interval_s, 0.04
     compute_setpoints(a, ahead_m, lead_m, 3.0, 0.1)
     straight = np.flatnonzero(BANK[:CURVES, 0] > 1.0)
     way = ahead_m + lead_m
@@ -106,7 +106,7 @@ def test_a_wave_that_is_steeper_than_ground_counts_as_level_over_a_trail(steepes
     a = planes(0.0)
     waves = slice(WAVES, N_MODELS)
     a["bank"]["slope"][waves], a["bank"]["curvature"][waves] = -0.3, -0.4 * SCALE[waves]
-    a["sample"]["lead_m"], a["prediction"]["interval_s"], a["plant"]["tau_s"] = -0.004, interval_s, 0.04
+    a["sample"]["lead_m"], a["hold"]["interval_s"], a["plant"]["tau_s"] = -0.004, interval_s, 0.04
     a["estimate"]["quick_slope_power"] = (steepest / 3.0) ** 2
     compute_setpoints(a, 0.005, 0.003, 3.0, 0.1)
     extrapolate_bank(a["bank"], 0.005)

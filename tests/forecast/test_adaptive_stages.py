@@ -1,4 +1,4 @@
-"""Stages of the default follower: gate, noise, terrain memory, limits, range prediction, latency."""
+"""Stages of the default follower: gate, noise, terrain memory, limits, latency."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from surffollow.forecast.sensing.latency_identification import (
     update_correction,
     update_delay,
 )
-from surffollow.forecast.sensing.range_prediction import predict_range, return_gain, update_prediction
 from surffollow.forecast.sensing.sample_hold import count_m, record_sample, reset_hold
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.forecast.step import follow_step
@@ -240,124 +239,6 @@ def test_a_full_terrain_memory_replaces_the_oldest_cell():
         assert math.isnan(read_height(memory, bad, 0.0, 10**9))
 
 
-def test_range_prediction_follows_a_ramp_rejects_a_spike_and_accepts_a_jump():
-    a = zeros(AdaptiveState)[0]
-    for k in range(400):
-        update_prediction(
-            default_params(),
-            a["prediction"],
-            10**9 + k * 100 * MS,
-            5.0 + 0.03 * k * 0.1 + (2.0 if k == 350 else 0.0),
-        )
-    # the trend decays: a third of the change over the horizon is missing
-    assert predict_range(a["prediction"], 0.5) == pytest.approx(5.0 + 0.03 * (39.9 + 0.5), abs=5e-3)
-    for k in range(400, 403):
-        update_prediction(default_params(), a["prediction"], 10**9 + k * 100 * MS, 8.0)
-    assert predict_range(a["prediction"], 0.0) == pytest.approx(8.0, abs=0.1)
-
-
-@pytest.mark.parametrize(("horizon_s", "sigmas"), [(0.2, 1.5), (2.0, 4.0)])
-def test_range_prediction_of_a_constant_range_is_constant(horizon_s, sigmas):
-    """GIVEN readings every 0.1 s with noise THEN the trend that they seem to have is small 20 ahead, too."""
-    prediction, rng, errors = zeros(AdaptiveState)[0]["prediction"], np.random.default_rng(2), []
-    for k in range(2000):
-        update_prediction(
-            default_params(), prediction, 10**9 + k * 100 * MS, 2.0 + 0.01 * rng.standard_normal()
-        )
-        errors.append(predict_range(prediction, horizon_s) - 2.0)
-    assert abs(np.mean(errors[100:])) < 1e-3
-    assert np.std(errors[100:]) < 0.01 * sigmas
-
-
-def naive_predictions(t_s, ranges_m, horizon_s, most=1.0):
-    """Forecasts by a trend with a learnt return to the mean, from its formulas; no outliers, no gaps."""
-    made, level, trend, mean, mean_s, interval, check = [], ranges_m[0], 0.0, ranges_m[0], 0.0, 0.0, None
-    products, gain = np.zeros(2), 0.0
-
-    def parts(h):
-        w = 15.0 * unit * (1.0 - math.exp(-h / (15.0 * unit)))
-        share = 1.0 - math.exp(-(h - w) / (15.0 * unit))
-        return np.array([level + trend * w, share * (mean - level)])
-
-    for k in range(1, len(t_s)):
-        dt = t_s[k] - t_s[k - 1]
-        interval += (min(dt, 2 * interval) - interval) / 20 if interval else dt
-        unit = max(interval, 0.12)
-
-        def weight(duration_s, intervals, unit=unit):
-            return 1.0 - math.exp(-duration_s / (intervals * unit))
-
-        expected = parts(dt) @ (1.0, gain)
-        new = expected + weight(dt, 0.45) * (ranges_m[k] - expected)
-        back = gain * (mean - level) / (15.0 * unit)
-        trend += weight(dt, 15.0) * (back - trend)
-        trend += weight(dt, 2.5) * ((new - level) / dt - trend)
-        level = new
-        mean_s = min(mean_s + dt, 1000.0 * unit)
-        mean += (1.0 - math.exp(-dt / mean_s)) * (level - mean)
-        if check is None or t_s[k] - check[0] >= 15.0 * unit:
-            if check is not None:
-                missed, back_m = level - check[1], check[2]
-                share = weight(t_s[k] - check[0], 1000.0)
-                products += share * (np.array([missed * back_m, back_m**2]) - products)
-                gain = float(np.clip(products[0] / products[1], 0.0, most))
-            check = t_s[k], *parts(15.0 * unit)
-        made.append(parts(horizon_s) @ (1.0, gain))
-    return np.array(made), gain
-
-
-def swinging_ranges(n):
-    """Times [s] and ranges [m] of a controlled distance that noise disturbs, at uneven intervals."""
-    rng, distance, rate, ranges = np.random.default_rng(5), 0.0, 0.0, []
-    t_s = np.cumsum(rng.integers(80, 250, n)) * 1e-3
-    for dt in np.diff(t_s, prepend=0.0):
-        rate += dt * (-0.5 * distance - 1.0 * rate) + 0.1 * math.sqrt(dt) * rng.standard_normal()
-        distance += dt * rate
-        ranges.append(3.0 + distance + 0.003 * rng.standard_normal())
-    return t_s, np.array(ranges)
-
-
-def predictions(t_s, ranges_m, horizon_s):
-    """Forecasts after every range but the first, and the record."""
-    prediction, made = zeros(AdaptiveState)[0]["prediction"], []
-    for t, range_m in zip(t_s, ranges_m, strict=True):
-        update_prediction(default_params(), prediction, 10**9 + round(t * 1e9), range_m)
-        made.append(predict_range(prediction, horizon_s))
-    return np.array(made[1:]), prediction
-
-
-def test_range_prediction_agrees_with_its_naive_twin():
-    t_s, ranges_m = swinging_ranges(1500)
-    made, prediction = predictions(t_s, ranges_m, 1.5)
-    twin, gain = naive_predictions(t_s, ranges_m, 1.5)
-    assert prediction["rejected"] == 0
-    assert return_gain(prediction) == pytest.approx(gain, rel=1e-6)
-    np.testing.assert_allclose(made, twin, atol=1e-8)
-
-
-def test_range_prediction_returns_to_the_mean_only_where_the_range_does():
-    t_s, ranges_m = swinging_ranges(3000)
-    made, prediction = predictions(t_s, ranges_m, 2.0)
-    assert return_gain(prediction) > 0.5
-    later = np.interp(t_s[1:] + 2.0, t_s, ranges_m)
-    trend, _ = naive_predictions(t_s, ranges_m, 2.0, most=0.0)
-    seen = slice(500, -20)
-    errors = [np.sqrt(np.mean((f[seen] - later[seen]) ** 2)) for f in (made, trend)]
-    assert errors[0] < 0.95 * errors[1]
-    _, prediction = predictions(t_s, 3.0 + 0.05 * t_s, 2.0)  # a slope
-    assert return_gain(prediction) == 0.0
-
-
-def test_range_prediction_begins_its_mean_after_a_jump_and_a_gap():
-    t_s, ranges_m = swinging_ranges(600)
-    for late_s in (0.2, 60.0):
-        made, prediction = predictions(
-            np.r_[t_s, t_s[-1] + late_s + 0.1 * np.arange(3)], np.r_[ranges_m, 8.0, 8.0, 8.0], 30.0
-        )
-        assert prediction["mean_m"] == pytest.approx(8.0, abs=0.01)
-        assert made[-1] == pytest.approx(8.0, abs=0.5)
-
-
 def test_conversions_of_a_held_value_are_one_sample_stamped_where_it_began():
     f = Follower({"memory": False, "sensor_latency": "30 ms"}, offset_m=0.1)
     f._params["scale_m"], f._params["zero_m"] = 0.1 / 4096, 0.05
@@ -521,12 +402,12 @@ def test_a_latency_needs_sixty_samples_of_one_rest(samples, identified):
 @pytest.mark.parametrize("delay_s", [0.0, 1e-6])
 def test_one_late_sample_among_those_without_a_delay_is_not_the_usual_one(delay_s):
     """A usual delay of 0 counted as not known: one sample 0.3 s late made it 0.3 s."""
-    params, a, late = default_params(), zeros(AdaptiveState)[0], 0
-    a["plant"]["tau_s"], a["prediction"]["interval_s"] = 0.04, 0.004
+    a, late = zeros(AdaptiveState)[0], 0
+    a["plant"]["tau_s"], a["hold"]["interval_s"] = 0.04, 0.004
     for k in range(200):
         found_s = 0.3 if k == 100 else delay_s
         update_delay(a["latency"], found_s, found_s, 0.004)
-        late += is_late(params, a)
+        late += is_late(a)
     assert late == 0
 
 
@@ -562,17 +443,8 @@ def test_the_count_of_a_sensor_is_its_least_change_of_many():
 @pytest.mark.parametrize("gap_s", [0.5, 2.0])
 def test_the_usual_interval_is_not_that_of_a_loss(gap_s):
     """GIVEN readings every 4 ms WHEN they are missing for seconds THEN the sensor is none of a second."""
-    prediction = zeros(AdaptiveState)[0]["prediction"]
+    hold = zeros(AdaptiveState)[0]["hold"]
     for k in range(200):
-        update_prediction(default_params(), prediction, 10**9 + k * 4 * MS, 0.1)
-    update_prediction(default_params(), prediction, 10**9 + round(gap_s * 1e9), 0.1)
-    assert prediction["interval_s"] < 5e-3
-
-
-def test_a_rejected_range_is_no_longer_interval():
-    """GIVEN a glitch in every fourth reading, 10 ms apart, THEN the interval is 10 ms."""
-    prediction, rng = zeros(AdaptiveState)[0]["prediction"], np.random.default_rng(1)
-    for k in range(400):
-        range_m = 0.1 + 1e-4 * rng.standard_normal() + (0.05 if k > 50 and k % 4 == 0 else 0.0)
-        update_prediction(default_params(), prediction, 10**9 + 10 * k * MS, range_m)
-    assert prediction["interval_s"] == pytest.approx(0.01, rel=0.01)
+        record_sample(hold, 10**9 + k * 4 * MS, 0.1)
+    record_sample(hold, 10**9 + 796 * MS + round(gap_s * 1e9), 0.1)
+    assert 4e-3 <= hold["interval_s"] < 5e-3

@@ -32,7 +32,6 @@ OWNERS = {
     "response": "response",
     "descent": "descent",
     "repeats": "repeated_ranges",
-    "prediction": "range_prediction",
     "noise": "noise",
     "pending": "pending_samples",
     "gate": "innovation_gate",

@@ -6,7 +6,7 @@ import pytest
 
 from surffollow.forecast.estimation.pending_samples import confirm_by
 from surffollow.forecast.plant.controller_clock import mean_wait_s, observe_latch
-from surffollow.forecast.quantities import CONFIRMED_SAMPLES
+from surffollow.forecast.quantities import SETTLED_SAMPLES
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
@@ -31,7 +31,7 @@ def test_a_demand_waits_for_half_the_interval_of_reports_and_for_no_more_than_th
 def samples_that_confirm(interval_s: float, rises_on: bool = False) -> int:
     """How many agreeing samples 10 mm above the estimate confirm a step toward the tool."""
     a = zeros(AdaptiveState)[0]
-    a["prediction"]["interval_s"], a["plant"]["tau_s"] = interval_s, TAU_S
+    a["hold"]["interval_s"], a["plant"]["tau_s"] = interval_s, TAU_S
     a["gate"]["slot_likelihood"] = 1.0
     for n in range(1, 10):
         a["estimate"]["sample_ns"] += int(interval_s * 1e9)
@@ -55,7 +55,7 @@ def descent_after_50_ms(step_m: float, travel_m: float, arrived: bool = True) ->
     """How far the setpoint descends toward a target 50 mm below [m]."""
     a = zeros(AdaptiveState)[0]
     a["gate"]["step_m"], a["gate"]["travel_since_step_m"] = step_m, travel_m
-    a["estimate"]["samples"] = CONFIRMED_SAMPLES
+    a["estimate"]["samples"] = SETTLED_SAMPLES
     limit_setpoint(default_params(), a, 10**9 - MS, 0.0 if arrived else -0.05, 0.0)
     for k in range(50):
         limit_setpoint(default_params(), a, 10**9 + k * MS, -0.05, 0.0)

@@ -174,7 +174,7 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
     rng = np.random.default_rng(seed)
     params, a = default_params(), zeros(AdaptiveState)[0]
     params["offset_m"] = STANDOFF_M
-    a["noise"]["sigma_m"], a["plant"]["tau_s"], a["prediction"]["interval_s"] = 2e-4, 0.04, 4e-3
+    a["noise"]["sigma_m"], a["plant"]["tau_s"], a["hold"]["interval_s"] = 2e-4, 0.04, 4e-3
     a["noise"]["range_sigma_m"], scatter = 2e-4, 0.0
     speed = float(rng.uniform(0.0, 0.1))
     a["kinematics"]["speed_mps"], a["kinematics"]["climb_mps"] = speed, -0.1

@@ -65,12 +65,6 @@ def _cosines(x: Any, y: Any) -> None:
 
 
 @jit
-def _tangents(x: Any, y: Any) -> None:
-    for i in range(len(x)):
-        y[i] = elementary.tan(x[i])
-
-
-@jit
 def _angles(x: Any, y: Any) -> None:
     for i in range(len(x)):
         y[i] = elementary.angle(abs(math.sin(x[i])) * x[i], math.cos(x[i]) * x[i])
@@ -101,10 +95,9 @@ def spread(low: float, high: float) -> Any:
             np.log,
             np.exp(np.concatenate([spread(-700.0, 700.0), spread(-0.1, 0.1), spread(-1e-9, 1e-9)])),
         ),
-        (_tangents, np.tan, spread(-1.5, 1.5)),
         (_angles, np.abs, spread(1e-9, math.pi)),
     ],
-    ids=["exp", "log", "tan", "angle"],
+    ids=["exp", "log", "angle"],
 )
 def test_the_relative_error_is_of_some_last_bits(kernel: Any, true: Callable[[Any], Any], x: Any) -> None:
     error = np.abs(values(kernel, x) / true(x) - 1.0)
@@ -119,7 +112,7 @@ def test_the_error_of_a_sine_is_small(kernel: Any, true: Callable[[Any], Any], h
 
 
 def test_what_is_no_number_stays_none() -> None:
-    for kernel in (_exps, _logs, _sines, _cosines, _tangents):
+    for kernel in (_exps, _logs, _sines, _cosines):
         assert np.isnan(values(kernel, [math.nan] * 5)).all()
     assert np.isnan(values(_logs, [-1.0, 0.0, math.inf])).all()
     smallest, greatest = values(_exps, [-math.inf, math.inf])

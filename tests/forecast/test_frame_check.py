@@ -164,7 +164,7 @@ def records():
     """Parameters and state of a follower with a sample each 10 ms."""
     params, a = zeros(Params).view(np.recarray)[0], zeros(AdaptiveState).view(np.recarray)[0]
     params.offset_m = 0.1
-    a.plant.tau_s, a.prediction.interval_s, a.latency.delay_s = 0.04, 0.01, 0.005
+    a.plant.tau_s, a.hold.interval_s, a.latency.delay_s = 0.04, 0.01, 0.005
     a.noise.sigma_m = a.noise.range_sigma_m = 2e-4
     return params, a
 

@@ -55,7 +55,7 @@ def test_the_ceiling_rises_with_ground_that_rose_when_the_run_began():
     a = zeros(AdaptiveState)[0]
     params = default_params()
     params["offset_m"], params["range_max_m"] = 0.1, 0.15
-    a["plant"]["tau_s"], a["prediction"]["interval_s"], a["latency"]["delay_s"] = 0.04, 0.004, 0.03
+    a["plant"]["tau_s"], a["hold"]["interval_s"], a["latency"]["delay_s"] = 0.04, 0.004, 0.03
     a["kinematics"]["speed_mps"], a["response"]["rises"] = 0.1, 1
     a["run"]["range_m"], a["run"]["rate_mps"] = 0.1, 1.0  # a tool that follows itself
     t_s = response.answer_s(a, MIN_MEANS) + 0.04
@@ -85,7 +85,7 @@ def test_the_ceiling_does_not_fall_behind_missing_readings():
     """GIVEN a stuck sensor over ground that rose WHEN readings are missing THEN the ceiling rises on."""
     params, a = default_params(), zeros(AdaptiveState)[0]
     params["offset_m"] = 0.1
-    a["prediction"]["interval_s"], a["plant"]["tau_s"], a["noise"]["range_sigma_m"] = 4e-3, 0.04, 2e-4
+    a["hold"]["interval_s"], a["plant"]["tau_s"], a["noise"]["range_sigma_m"] = 4e-3, 0.04, 2e-4
     a["response"]["t_ns"], a["response"]["test_ns"] = 10**9, 8 * 10**8
     a["response"]["phase"], a["kinematics"]["speed_mps"] = RESPONSE_FAILED, 0.1
     a["run"]["mean_m"] = a["run"]["range_m"] = a["run"]["standoff_m"] = 0.1

@@ -84,7 +84,7 @@ def test_a_slow_sensor_is_compared_with_the_ground_of_the_pass_before():
 )
 def test_holes_of_the_usual_travel_are_bridged(speed, interval_s, hole):
     a = zeros(AdaptiveState)[0]
-    a["kinematics"]["speed_mps"], a["prediction"]["interval_s"] = speed, interval_s
+    a["kinematics"]["speed_mps"], a["hold"]["interval_s"] = speed, interval_s
     assert longest_hole_m(a) == pytest.approx(hole)
     assert usual_travel_m(a) == pytest.approx(min(speed * interval_s, 0.064))
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from forecast.driving import MS, Kernel, default_params, names_of
-from surffollow.forecast.horizon import forecast_range
+from surffollow.follower.range_forecast import RangeForecast, forecast_range
+from surffollow.shm.dtypes import zeros
 from surffollow.sim.plant import axis_step
 
 T = 10_000 * MS
@@ -207,10 +208,10 @@ def test_changing_range_size_while_running_recuts_the_ranges_at_once():
 
 
 def test_the_range_forecast_carries_the_two_range_slope_on():
-    k = paper()
-    assert math.isnan(forecast_range(k.params, k.state, 0.5))
+    k, unused = paper(), zeros(RangeForecast)
+    assert math.isnan(forecast_range(k.params, k.state, unused, 0.5))
     o = ramp(k, slope=0.1, speed=0.1, cycles=400)[-1]
-    got = forecast_range(k.params, k.state, 0.5)
+    got = forecast_range(k.params, k.state, unused, 0.5)
     assert got == o["range_m"][0] - o["slope"] * o["speed_mps"] * 0.5
 
 

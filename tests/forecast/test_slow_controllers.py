@@ -19,12 +19,12 @@ from surffollow.forecast.plant.plant_identification import (
     record_own_setpoint,
     reset_axes,
     setpoint_in_force,
-    update_plant,
 )
 from surffollow.forecast.pose import push_pose
+from surffollow.forecast.sensing.kinematics import update_kinematics
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
-from surffollow.shm.layout_follow import MODE_ADAPTIVE, Inputs, SenseState
+from surffollow.shm.layout_follow import MODE_ADAPTIVE, SenseState
 
 TAU_S, STANDOFF_M = 0.1, 0.5
 ARM = Job(STANDOFF_M, TAU_S, 0.01, 0.1, 1.0, 10.0, 0.002 * STANDOFF_M, (0.15, 1.5))
@@ -147,14 +147,14 @@ def test_the_axis_model_leads_the_height_only_while_it_is_the_nearer_one(begins_
     params, a, sense, pose = default_params()[0], zeros(AdaptiveState)[0], zeros(SenseState)[0], np.zeros(7)
     for k in range(2):
         push_pose(sense, 10**9 + 40 * k * MS, np.array([0.0, 0.0, 0.1 + 1e-3 * k, 0, 0, 0, 1.0]), 0)
-    reset_axes(params, a, 10**9 + 40 * MS, 0.101)
+    reset_axes(params, a, 10**9 + 40 * MS, 0.101, True)
     a["kinematics"]["climb_mps"] = 0.025
     a["clock"]["now_ns"] = 10**9 + 40 * MS
     record_own_setpoint(a, True, 0.099)  # the observed axis is there, 2 mm below the report
     a["plant"]["axis_m"], a["plant"]["axis_mps"], a["plant"]["offset_m"] = 0.099, 0.0, 2e-3
-    a["plant"]["scatter_m"], a["plant"]["coast_scatter_m"] = 1e-4, 1e-3
+    a["plant"]["scatter_m"], a["kinematics"]["climb_scatter_m"] = 1e-4, 1e-3
     if begins_anew:
-        reset_axes(params, a, 10**9 + 40 * MS, 0.101)
+        reset_axes(params, a, 10**9 + 40 * MS, 0.101, True)
     predict_pose(params, a, sense, 10**9 + 60 * MS, pose)
     assert pose[2] == pytest.approx(0.1015 if begins_anew else 0.101, abs=1e-6)
 
@@ -176,7 +176,7 @@ def test_heights_between_the_reports_of_a_slow_controller_are_known_when_they_ar
     a, sense = zeros(AdaptiveState)[0], zeros(SenseState)[0]
     push_pose(sense, 10**9, np.array([0.0, 0.0, 0.1, 0, 0, 0, 1.0]), 0)
     a["plant"]["tau_s"], a["controller"]["interval_ns"] = 0.04, interval_ms * MS
-    a["plant"]["coast_scatter_m"] = error_m
+    a["kinematics"]["climb_scatter_m"] = error_m
     a["noise"]["sigma_m"] = a["noise"]["range_sigma_m"] = noise_m
     assert height_is_known(a, sense, 10**9 + age_ms * MS) == known
 
@@ -186,6 +186,5 @@ def test_the_error_at_constant_velocity_is_learned_from_rare_reports():
     params, a, sense = default_params()[0], zeros(AdaptiveState)[0], zeros(SenseState)[0]
     for k in range(2):
         push_pose(sense, 10**9 + 400 * k * MS, np.array([0.0, 0.0, 0.1 + 4e-3 * k, 0, 0, 0, 1.0]), 0)
-    a["plant"]["t_ns"], a["kinematics"]["coasted_m"] = 10**9, 0.1
-    update_plant(params, a, sense, zeros(Inputs)[0])
-    assert a["plant"]["coast_scatter_m"] == pytest.approx(4e-3)
+    update_kinematics(params, a["kinematics"], sense, False)
+    assert a["kinematics"]["climb_scatter_m"] == pytest.approx(4e-3)

@@ -110,7 +110,7 @@ def test_a_mode_that_is_set_while_following_does_not_go_on_with_what_it_knew():
 def test_another_stand_off_ends_the_test_of_a_descent(standoff_m, phase):
     """GIVEN a descent in its test at 0.1 m WHEN a sample comes THEN it goes on at this stand-off only."""
     params, a = default_params(offset_m=standoff_m)[0], zeros(AdaptiveState)[0]
-    a["prediction"]["interval_s"], a["plant"]["tau_s"], a["noise"]["range_sigma_m"] = 4e-3, 0.04, 2e-4
+    a["hold"]["interval_s"], a["plant"]["tau_s"], a["noise"]["range_sigma_m"] = 4e-3, 0.04, 2e-4
     a["response"]["t_ns"] = a["response"]["test_ns"] = 10**9
     a["response"]["phase"], a["response"]["swing_m"] = RESPONSE_HOLD, 0.01
     a["run"]["mean_m"] = a["run"]["range_m"] = 0.105

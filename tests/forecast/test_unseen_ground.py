@@ -25,7 +25,7 @@ def sensor_in(phase):
     """A sensor in a phase of its test; the run of constant ranges began over a steep rise."""
     a = zeros(AdaptiveState)[0]
     a["kinematics"]["speed_mps"], a["estimate"]["slope_power"] = SPEED_MPS, SLOPE_RMS**2
-    a["plant"]["tau_s"], a["prediction"]["interval_s"] = 0.04, INTERVAL_S
+    a["plant"]["tau_s"], a["hold"]["interval_s"] = 0.04, INTERVAL_S
     a["response"]["phase"], a["run"]["slope"], a["run"]["samples"] = phase, SLOPE_BEFORE, SAMPLES
     a["run"]["top_z_m"] = a["setpoint"]["position_m"] = 0.1
     a["response"]["ceiling_z_m"] = 1.0
@@ -49,7 +49,7 @@ def test_what_the_tool_climbs_is_not_lost(climb_m):
 def test_without_a_test_and_under_a_slow_sensor_nothing_is_uncertain():
     assert uncertain_clearance(sensor_in(RESPONSE_RUN), False, False) == 0.0
     slow = sensor_in(RESPONSE_FAILED)
-    slow["prediction"]["interval_s"] = 0.03
+    slow["hold"]["interval_s"] = 0.03
     assert uncertain_clearance(slow, False, False) == 0.0
 
 
@@ -83,7 +83,7 @@ def test_a_range_that_repeats_itself_has_shown_no_ground_since_the_newest_sample
 @pytest.mark.parametrize("interval_s", [INTERVAL_S, 0.03], ids=["quick", "slow"])
 def test_in_silence_the_ground_may_have_risen_since_the_newest_sample(interval_s):
     a = sensor_in(RESPONSE_RUN)
-    a["prediction"]["interval_s"], a["blend"]["tracked_m"] = interval_s, 0.11
+    a["hold"]["interval_s"], a["blend"]["tracked_m"] = interval_s, 0.11
     a["clock"]["now_ns"], a["hold"]["t_ns"] = 5 * 10**9, 4 * 10**9
     assert uncertain_clearance(a, True, False) == pytest.approx(0.01 + SLOPE_RMS * SPEED_MPS)
 
@@ -91,7 +91,7 @@ def test_in_silence_the_ground_may_have_risen_since_the_newest_sample(interval_s
 def test_silence_in_a_test_leaves_all_since_the_run_uncertain_under_a_slow_sensor_too():
     """A blocked sensor that falls silent may be so near that it sees nothing: what it read does not count."""
     a = sensor_in(RESPONSE_LIFT)
-    a["prediction"]["interval_s"], a["blend"]["tracked_m"] = 0.03, 0.1
+    a["hold"]["interval_s"], a["blend"]["tracked_m"] = 0.03, 0.1
     a["run"]["top_z_m"], a["run"]["samples"] = 0.15, 20
     a["clock"]["now_ns"], a["hold"]["t_ns"] = 5 * 10**9, 4 * 10**9
     risen_m = SLOPE_BEFORE * SPEED_MPS * (1.0 + 20 * 0.03)

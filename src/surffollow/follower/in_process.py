@@ -24,11 +24,11 @@ from surffollow.config.window_fit import FITTED, check_fit
 from surffollow.errors import PoseError, UsageError
 from surffollow.follower.given_values import write_pose, write_ranges
 from surffollow.follower.kernel_time import PoseIntervals, kernel_time
+from surffollow.follower.range_forecast import RangeForecast, forecast_range, observe_range
 from surffollow.follower.reading_stamps import Timestamps
 from surffollow.follower.setup import Config, read_setup
 from surffollow.follower.standing_clock import StandingClock
 from surffollow.follower.state_report import state_report
-from surffollow.forecast.horizon import forecast_range
 from surffollow.forecast.pose import report_pose
 from surffollow.forecast.step import follow_step, sf_reset
 from surffollow.forecast.terrain.terrain_memory import new_memory, read_preview, store_footprint
@@ -82,6 +82,7 @@ class Follower:
         self._params, self._state = zeros(Params), zeros(FollowState)
         self._inputs, self._output = zeros(Inputs), zeros(Output)
         self._scratch, self._pose = np.zeros(7), np.zeros(7)
+        self._forecast = zeros(RangeForecast)
         self._bind_views()
         self._latest_ns = self._stepped_ns = 0
         setup = read_setup(config, offset_m)
@@ -248,6 +249,7 @@ class Follower:
         if self._memory is not None:
             read_preview(self._memory, self._params, self._state, self._inputs)
         follow_step(self._params, self._state, self._inputs, self._output, self._scratch)
+        observe_range(self._params, self._state, self._forecast)
         if self._memory is not None:
             store_footprint(self._memory, self._state, self._output)
         demand: NDArray[np.float64] = self._demand.copy()
@@ -285,7 +287,7 @@ class Follower:
         horizon = real_number(horizon_s, "horizon_s")
         if not math.isfinite(horizon):
             raise UsageError(f"horizon_s is {horizon:g} s; it must be finite")
-        return float(forecast_range(self._params, self._state, horizon))
+        return float(forecast_range(self._params, self._state, self._forecast, horizon))
 
     def state(self) -> dict[str, Any]:
         """Estimates, health and adapted parameters as plain Python values.

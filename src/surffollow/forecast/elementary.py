@@ -72,13 +72,6 @@ def sin_cos(x):
 
 
 @jit_inlined
-def tan(x):
-    """The tangent of x [rad], up to 10⁶."""
-    sine, cosine = sin_cos(x)
-    return sine / cosine
-
-
-@jit_inlined
 def hypot(x, y):
     """Length of a vector, √(x² + y²)."""
     return math.sqrt(x * x + y * y)

@@ -13,7 +13,7 @@ DROPOUT_INTERVALS = 2.5  # of a slow sensor: without a sample for so many usual 
 # in a row are no chance: at a start, near the fold-back, with a timestamp that goes back
 CONFIRMATION_SAMPLES = 3
 # fewer: the setpoint has not arrived; no descent in a drop-out; no plane of faulty beams
-CONFIRMED_SAMPLES = 25
+SETTLED_SAMPLES = 25
 USUAL_SAMPLES = 20  # in the usual value of a delay, an interval, a distance, a height
 QUICK_RATE, SLOW_RATE = 0.02, 0.004  # of means over 50 and 250 samples or reports
 FULL_POWER_SAMPLES = 500  # for the full power of the performance index; a rest of the tool is concluded

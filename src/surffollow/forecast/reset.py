@@ -61,6 +61,7 @@ def forget_surface(state):
     reset_rotation(adaptive.rotation)
     release_setpoint(adaptive.setpoint)
     withdraw_preview(adaptive.preview)
+    adaptive.plant.begins = 1
     adaptive.health.faults = 0
 
 

@@ -5,7 +5,7 @@ import math
 from surffollow.forecast import adaptive_step, fold_back, reference_scales, reset, stop
 from surffollow.forecast.paper import extrapolation
 from surffollow.forecast.pose import footprint, newest_pose, pose_at
-from surffollow.forecast.sense import is_absent, take_conversions, take_poses, take_ranges
+from surffollow.forecast.readings import is_absent, take_conversions, take_poses, take_ranges
 from surffollow.forecast.sensing import latency_identification, sample_hold
 from surffollow.shm import layout_follow as layout
 from surffollow.shm.jit import jit, jit_inlined, jit_uncounted

@@ -410,10 +410,10 @@ typedef struct sf_params {
   int64_t mode; /* 0: paper, 1: adaptive (default follower) */
   int64_t run; /* 0: normal, 1: DRYRUN, 2: FREEZE */
   double offset_m; /* [m] desired stand-off along the beam of channel 0 */
-  int64_t sensor_readings; /* conversions averaged into a reading (paper: 7; in process: 1; adaptive, several channels: 1) */
-  int64_t ee_readings; /* target points in the rolling mean */
-  double interval_size_m; /* [m] radius of an interval */
-  int64_t range_size; /* intervals in a range */
+  int64_t sensor_readings; /* averaged into a reading (paper: 7; in process: 1); an adaptive demand takes the newest */
+  int64_t ee_readings; /* paper: target points in the rolling mean */
+  double interval_size_m; /* [m] paper: radius of an interval */
+  int64_t range_size; /* paper: intervals in a range */
   double permitted_variance_m; /* [m] change of the demand that is relayed */
   double max_demand_m; /* [m] limit of the vertical demand */
   int64_t pose_timeout_ns; /* [ns] older poses give a zero demand */
@@ -428,7 +428,7 @@ typedef struct sf_params {
   double scale_m[8]; /* [m/count] calibration: range = zero + scale * counts */
   double zero_m[8]; /* [m] calibration: range at 0 counts */
   double tool_from_sensor[56]; /* [m, 1] mounts: x y z qx qy qz qw per channel */
-  double plant_tau_s; /* [s] adaptive: assumed time constant of the vertical axis; a great change moves the tool */
+  double plant_tau_s; /* [s] adaptive: assumed time constant of the vertical axis; a new one counts from SFReset on */
   double plant_v_max_mps; /* [m/s] adaptive: assumed speed limit of the vertical axis */
   double plant_a_max_mps2; /* [m/s^2] adaptive: assumed acceleration limit of the vertical axis */
   double score_travel_m; /* [m] adaptive: arc length over which model errors are averaged */
@@ -448,13 +448,13 @@ typedef struct sf_params {
   double max_turn_rad; /* [rad] adaptive: limit of the rotation demanded */
   double permitted_turn_rad; /* [rad] adaptive: deadband of the attitude setpoint */
   double deadband_share; /* adaptive: share of Permitted_Variance that is the setpoint's deadband */
-  int64_t adapt; /* adaptive: 1: adapt; 0: index, weights, noise, prediction errors freeze at 500 samples */
-  int64_t hold_ns; /* [ns] adaptive: an unchanged reading counts as new after so long */
+  int64_t adapt; /* adaptive: 1: learn; 0: weights, noise, gate, tau, lead, waves stay, from 500 samples on */
+  int64_t hold_ns; /* [ns] adaptive: an unchanged range is new after so long, an unchanged conversion after 1.5 of it */
   double dropout_travel_m; /* [m] adaptive: travel without readings over which the slope decays */
-  double max_speed_mps; /* [m/s] adaptive: limit of the setpoint's speed */
-  double max_accel_mps2; /* [m/s^2] adaptive: limit of the setpoint's acceleration */
+  double max_speed_mps; /* [m/s] adaptive: limit of the setpoint's speed, beside 2 plant_v_max (6 with preview) */
+  double max_accel_mps2; /* [m/s^2] adaptive: limit of the setpoint's acceleration, beside 20 plant_a_max (60) */
   double max_jerk_mps3; /* [m/s^3] adaptive: limit of the setpoint's jerk */
-  double toward_factor; /* adaptive: share of those limits at the approach and behind a fall */
+  double toward_factor; /* adaptive: share of both limits toward the surface, at the approach and behind a fall */
   double max_turn_speed_radps; /* [rad/s] adaptive: limit of the attitude setpoint's angular speed */
   double max_turn_accel_radps2; /* [rad/s^2] adaptive: limit of its angular acceleration */
   double max_tilt_rad; /* [rad] adaptive: greatest angle of the tool's axis to the world's z axis */
@@ -528,9 +528,9 @@ typedef struct sf_output {
   int64_t range_t_ns[8]; /* [ns] */
   int64_t fresh; /* bit per channel: a new valid reading in this cycle */
   double target_m[24]; /* [m] target points in the world, as mapped (fresh ones) */
-  double height_m; /* [m] surface height of the current interval */
+  double height_m; /* [m] surface height; paper: of the current interval */
   double slope; /* [1] along the path */
-  double speed_mps; /* [m/s] lateral speed of the footprint */
+  double speed_mps; /* [m/s] lateral speed of the tool; paper: of the footprint */
   double delta_h_m; /* [m] forecast change of height */
   double error_m; /* [m] desired minus actual stand-off */
   int64_t intervals; /* paper: intervals opened since the reset; adaptive: samples in the estimate */

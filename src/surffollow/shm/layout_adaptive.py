@@ -34,7 +34,6 @@ from surffollow.shm.layout_adaptive_sensing import (
     Latency,
     Lookahead,
     Plane,
-    Prediction,
     Repeats,
     Response,
     Rotation,
@@ -46,7 +45,7 @@ HORIZON = 40  # controller periods of the preview and its plan
 N_LATCHES = 128  # setpoints latched that are kept: 256 ms or more
 N_PLANTS = 7  # axis models of different time constants
 
-# health of the ranging, in the order of what is reported first
+# health of the ranging, from good to bad
 OK, SUSPECT, DROPOUT, STUCK, OUT_OF_RANGE, FAULT = 0, 1, 2, 3, 4, 5
 HEALTH_NAMES = ("OK", "SUSPECT", "DROPOUT", "STUCK", "OUT_OF_RANGE", "FAULT")
 
@@ -87,7 +86,7 @@ class Plant(Schema):
     spread_m = F64(unit="m", doc="the same without sign")
     offset_m = F64(unit="m", doc="height of the newest report above the observed axis")
     scatter_m = F64(unit="m", doc="usual distance of a report from where the observed axis leads; 0: unknown")
-    coast_scatter_m = F64(unit="m", doc="the same of a constant velocity")
+    begins = I64(doc="1: behind an SFReset, a time constant configured anew takes effect")
     t_ns = I64(unit="ns", doc="time up to which the axes are propagated")
     tau_s = F64(unit="s", doc="time constant in force; 0: not begun")
     tau_configured_s = F64(unit="s", doc="time constant that identification began with")
@@ -102,7 +101,8 @@ class Blend(Schema):
     setpoint_m = F64(unit="m", doc="their blend")
     rate_mps = F64(unit="m/s", doc="its rate as the models predict it")
     t_ns = I64(unit="ns", doc="when it was made")
-    tracked_m = F64(unit="m", doc="the newest one that is not of a drop-out")
+    tracked_m = F64(unit="m", doc="the first one with the newest accepted sample")
+    tracked_ns = I64(unit="ns", doc="timestamp of that sample")
     filtered_m = F64(unit="m", doc="behind the deadband filter")
 
 
@@ -181,7 +181,6 @@ class AdaptiveState(Schema):
     response = Nested(Response)
     repeats = Nested(Repeats)
     descent = Nested(Descent)
-    prediction = Nested(Prediction)
     noise = Nested(Noise)
     pending = Nested(Pending)
     gate = Nested(Gate)

@@ -25,11 +25,11 @@ class Kinematics(Schema):
     velocity_y_mps = F64(unit="m/s")
     speed_mps = F64(unit="m/s", doc="lateral speed")
     climb_mps = F64(unit="m/s", doc="vertical velocity")
-    coasted_m = F64(unit="m", doc="where the velocity before the newest report led its height")
+    reports = I64(doc="pose reports that entered so far")
     jump_ns = I64(unit="ns", doc="timestamp of the first report after a jump of the position; 0: none")
     jump = I64(doc="JUMP_SEEN, or the jump behind which no sample was accepted: JUMP_ASIDE, JUMP_UP")
     scatter_m = F64(unit="m", doc="usual lateral distance of a report from where the velocity leads")
-    climb_scatter_m = F64(unit="m", doc="the same of the height")
+    climb_scatter_m = F64(unit="m", doc="the same of the height at constant velocity")
     noise_m = F64(unit="m", doc="as `scatter_m`, but from 0: noise of the position")
 
 
@@ -38,6 +38,8 @@ class Hold(Schema):
 
     t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none yet")
     range_m = F64(unit="m", doc="its range: a conversion that repeats it is no new sample")
+    interval_s = F64(unit="s", doc="usual interval of samples; 0: not known")
+    readings = I64(doc="ranges averaged into a sample: of given ranges only")
     changes = I64(doc="samples with another range than the one before")
     least_m = F64(unit="m", doc="least change, which grows slowly: the count of a coarse sensor")
     backward = I64(doc="samples in a row with timestamps before that of the newest sample")
@@ -77,7 +79,9 @@ class Sample(Schema):
     heading_x = F64(unit="1", doc="unit vector of the way, by velocity; slow sensors: by footprints; 0: none")
     heading_y = F64(unit="1")
     spacing_m = F64(unit="m", doc="usual distance travelled between samples")
-    pose_count = I64(doc="pose reports at the newest sample behind a report with an unknown height")
+    pose_count = I64(
+        doc="number of the report behind which a sample was used though heights between reports are unknown"
+    )
     entered = I64(doc="1: the newest sample entered the estimate")
 
 
@@ -90,7 +94,7 @@ class Health(Schema):
     candidate = I64(doc="state without hysteresis")
     faults = I64(doc="bits of FAULT_NAMES, latched until the reset")
     forget = I64(doc="fault for which the follower begins without knowledge behind this cycle; 0: none")
-    unseen = I64(doc="1: in silence the ground may have come near unseen")
+    unseen = I64(doc="1: in silence, or under a stuck sensor, the ground may have come near unseen")
     outside_seen = I64(doc="readings of channel 0 outside the window up to the cycle before")
     outside = I64(doc="cycles with such readings since the last one inside it")
     close_count = I64(doc="samples in a row nearer than too_close_m")
@@ -191,24 +195,6 @@ class Descent(Schema):
     unexplained = I64(doc="1: the ranges do not explain the descent")
 
 
-class Prediction(Schema):
-    """Predictor of the range over time (`range_prediction`)."""
-
-    level_m = F64(unit="m", doc="smoothed range")
-    trend_mps = F64(unit="m/s", doc="its rate")
-    t_ns = I64(unit="ns", doc="timestamp of the newest range; 0: none")
-    interval_s = F64(unit="s", doc="usual interval of samples; 0: not known")
-    scale_m = F64(unit="m", doc="usual innovation")
-    rejected = I64(doc="1: the newest range was rejected")
-    mean_m = F64(unit="m", doc="mean range")
-    mean_s = F64(unit="s", doc="time constant of the mean")
-    check_ns = I64(unit="ns", doc="time of the forecast that is to be compared; 0: none")
-    by_trend_m = F64(unit="m", doc="that forecast by the trend alone")
-    return_m = F64(unit="m", doc="return to the mean in that forecast")
-    return_m2 = F64(unit="m^2", doc="its mean square")
-    missed_m2 = F64(unit="m^2", doc="mean product of it and of what the trend alone missed")
-
-
 class Lookahead(Schema):
     """Look-ahead sensors beyond channel 0 (`lookahead_sensor`)."""
 
@@ -244,7 +230,7 @@ class Beams(Schema):
 
 
 class BeamRuns(Schema):
-    """Runs of constant ranges per beam of a ring of three (`blocked_beam`)."""
+    """Runs of constant ranges per beam of a ring of three or four (`blocked_beam`)."""
 
     mean_m = F64(BEAMS, unit="m", doc="mean of the newest ranges")
     range_m = F64(BEAMS, unit="m", doc="mean of the run")

@@ -53,7 +53,7 @@ STATUS_NAMES = (
 STOP_REQUEST = 1 << 0  # a client asked for it
 STOP_POSE_STALE = 1 << 1  # POSE_STALE
 STOP_SENSOR_LOST = 1 << 2  # SENSOR_LOST
-STOP_STUCK = 1 << 3  # adaptive: the sensor shows one value although the tool moves
+STOP_STUCK = 1 << 3  # adaptive: the mean range does not respond to the motion of the tool
 STOP_TOO_CLOSE = 1 << 4  # TOO_CLOSE
 STOP_POSE_LOST = 1 << 5  # the pose's holder died, or left its slot without giving the pose back
 STOP_DRIVER = 1 << 6  # the driver reports a fault
@@ -72,11 +72,11 @@ class Params(Schema):
     run = I64(doc="0: normal, 1: DRYRUN, 2: FREEZE")
     offset_m = F64(unit="m", doc="desired stand-off along the beam of channel 0")
     sensor_readings = I64(
-        doc="conversions averaged into a reading (paper: 7; in process: 1; adaptive, several channels: 1)"
+        doc="averaged into a reading (paper: 7; in process: 1); an adaptive demand takes the newest"
     )
-    ee_readings = I64(doc="target points in the rolling mean")
-    interval_size_m = F64(unit="m", doc="radius of an interval")
-    range_size = I64(doc="intervals in a range")
+    ee_readings = I64(doc="paper: target points in the rolling mean")
+    interval_size_m = F64(unit="m", doc="paper: radius of an interval")
+    range_size = I64(doc="paper: intervals in a range")
     permitted_variance_m = F64(unit="m", doc="change of the demand that is relayed")
     max_demand_m = F64(unit="m", doc="limit of the vertical demand")
     pose_timeout_ns = I64(unit="ns", doc="older poses give a zero demand")
@@ -92,7 +92,7 @@ class Params(Schema):
     zero_m = F64(CHANNELS, unit="m", doc="calibration: range at 0 counts")
     tool_from_sensor = F64(CHANNELS * 7, unit="m, 1", doc="mounts: x y z qx qy qz qw per channel")
     plant_tau_s = F64(
-        unit="s", doc="adaptive: assumed time constant of the vertical axis; a great change moves the tool"
+        unit="s", doc="adaptive: assumed time constant of the vertical axis; a new one counts from SFReset on"
     )
     plant_v_max_mps = F64(unit="m/s", doc="adaptive: assumed speed limit of the vertical axis")
     plant_a_max_mps2 = F64(unit="m/s^2", doc="adaptive: assumed acceleration limit of the vertical axis")
@@ -115,13 +115,22 @@ class Params(Schema):
     max_turn_rad = F64(unit="rad", doc="adaptive: limit of the rotation demanded")
     permitted_turn_rad = F64(unit="rad", doc="adaptive: deadband of the attitude setpoint")
     deadband_share = F64(doc="adaptive: share of Permitted_Variance that is the setpoint's deadband")
-    adapt = I64(doc="adaptive: 1: adapt; 0: index, weights, noise, prediction errors freeze at 500 samples")
-    hold_ns = I64(unit="ns", doc="adaptive: an unchanged reading counts as new after so long")
+    adapt = I64(doc="adaptive: 1: learn; 0: weights, noise, gate, tau, lead, waves stay, from 500 samples on")
+    hold_ns = I64(
+        unit="ns",
+        doc="adaptive: an unchanged range is new after so long, an unchanged conversion after 1.5 of it",
+    )
     dropout_travel_m = F64(unit="m", doc="adaptive: travel without readings over which the slope decays")
-    max_speed_mps = F64(unit="m/s", doc="adaptive: limit of the setpoint's speed")
-    max_accel_mps2 = F64(unit="m/s^2", doc="adaptive: limit of the setpoint's acceleration")
+    max_speed_mps = F64(
+        unit="m/s", doc="adaptive: limit of the setpoint's speed, beside 2 plant_v_max (6 with preview)"
+    )
+    max_accel_mps2 = F64(
+        unit="m/s^2", doc="adaptive: limit of the setpoint's acceleration, beside 20 plant_a_max (60)"
+    )
     max_jerk_mps3 = F64(unit="m/s^3", doc="adaptive: limit of the setpoint's jerk")
-    toward_factor = F64(doc="adaptive: share of those limits at the approach and behind a fall")
+    toward_factor = F64(
+        doc="adaptive: share of both limits toward the surface, at the approach and behind a fall"
+    )
     max_turn_speed_radps = F64(unit="rad/s", doc="adaptive: limit of the attitude setpoint's angular speed")
     max_turn_accel_radps2 = F64(unit="rad/s^2", doc="adaptive: limit of its angular acceleration")
     max_tilt_rad = F64(unit="rad", doc="adaptive: greatest angle of the tool's axis to the world's z axis")
@@ -138,7 +147,7 @@ class SenseState(Schema):
     fresh = I64(CHANNELS, doc="1: this cycle brought a valid reading")
     range_m = F64(CHANNELS, unit="m", doc="smoothed distance")
     range_t_ns = I64(CHANNELS, unit="ns", doc="middle of the averaged conversions")
-    valid = I64(CHANNELS, doc="1: the newest conversion is valid and the window is full")
+    valid = I64(CHANNELS, doc="1: the newest conversion is valid; in paper mode the window is full, too")
     missed = I64(CHANNELS, doc="1: a step without a valid sample since the last one")
     seen_t_ns = I64(CHANNELS, unit="ns", doc="time of the newest valid sample; 0: none yet")
     spacing_ns = I64(
@@ -232,9 +241,9 @@ class Output(Schema):
     range_t_ns = I64(CHANNELS, unit="ns")
     fresh = I64(doc="bit per channel: a new valid reading in this cycle")
     target_m = F64(CHANNELS * 3, unit="m", doc="target points in the world, as mapped (fresh ones)")
-    height_m = F64(unit="m", doc="surface height of the current interval")
+    height_m = F64(unit="m", doc="surface height; paper: of the current interval")
     slope = F64(unit="1", doc="along the path")
-    speed_mps = F64(unit="m/s", doc="lateral speed of the footprint")
+    speed_mps = F64(unit="m/s", doc="lateral speed of the tool; paper: of the footprint")
     delta_h_m = F64(unit="m", doc="forecast change of height")
     error_m = F64(unit="m", doc="desired minus actual stand-off")
     intervals = I64(doc="paper: intervals opened since the reset; adaptive: samples in the estimate")

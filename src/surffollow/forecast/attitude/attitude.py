@@ -33,7 +33,8 @@ def predicted_normal(params, adaptive):
     age_ns = min(max(adaptive.clock.now_ns - plane.t_ns, 0), MAX_GAP_NS)
     ahead = age_ns * 1e-9 + mean_wait_s(params, adaptive.controller) + adaptive.plant.tau_s
     sx, sy = plane.slope_x + plane.slope_rate_x_hz * ahead, plane.slope_y + plane.slope_rate_y_hz * ahead
-    slope, steepest = elementary.hypot(sx, sy), elementary.tan(params.max_tilt_rad)
+    sine, cosine = elementary.sin_cos(params.max_tilt_rad)
+    slope, steepest = elementary.hypot(sx, sy), sine / cosine
     factor = steepest / slope if slope > steepest else 1.0
     return normal_of(factor * sx, factor * sy)
 

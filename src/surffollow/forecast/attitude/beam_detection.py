@@ -21,11 +21,11 @@ from surffollow.forecast.estimation.noise import estimated_range_noise_m
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import (
-    CONFIRMED_SAMPLES,
     LONG_GAP_NS,
     MAX_GAP_NS,
     PAUSE_NS,
     REPEAT_BAND,
+    SETTLED_SAMPLES,
     USUAL_SAMPLES,
 )
 from surffollow.forecast.sensing.standoff import axis_ground_point
@@ -165,7 +165,7 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
 @jit
 def is_repeating(adaptive, c):
     """Whether a beam repeats its range for longer than chance explains: a drop-out and 12 intervals."""
-    stuck_ns = MAX_GAP_NS + 12.0 * adaptive.prediction.interval_s * 1e9
+    stuck_ns = MAX_GAP_NS + 12.0 * adaptive.hold.interval_s * 1e9
     return adaptive.beams.t_ns[c] - adaptive.beams.repeat_ns[c] > stuck_ns
 
 
@@ -199,11 +199,11 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         # one wrong beam of six or more does not count against all others
         odd = odd_beam(adaptive, params.n_channels, gate) if n > 5 else -1
         # of a slow ring, or beams by turns, as many as come in the time in which a fault is over
-        interval_ns = max(adaptive.prediction.interval_s * 1e9, PAUSE_NS / CONFIRMED_SAMPLES)
+        interval_ns = max(adaptive.hold.interval_s * 1e9, PAUSE_NS / SETTLED_SAMPLES)
         beams.inconsistent = max(int(PAUSE_NS / interval_ns), turned) if odd < 0 else 0
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
-    good, travel_m = 0, adaptive.kinematics.speed_mps * adaptive.prediction.interval_s
+    good, travel_m = 0, adaptive.kinematics.speed_mps * adaptive.hold.interval_s
     for c in range(params.n_channels):
         if beams.accepted[c] == 0:
             rejected = True

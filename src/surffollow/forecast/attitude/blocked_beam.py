@@ -52,7 +52,7 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
     number, sigma = mean_samples(adaptive), beam_noise_m(params, adaptive)
     deviation, most = range_m - runs.mean_m[c], BAND_SIGMAS * sigma
     since_s = (t_ns - newest_ns) * 1e-9
-    begins = newest_ns == 0 or not 0.0 <= since_s <= tolerated_gap_s(adaptive.prediction.interval_s)
+    begins = newest_ns == 0 or not 0.0 <= since_s <= tolerated_gap_s(adaptive.hold.interval_s)
     runs.mean_m[c] += min(max(deviation, -most), most) / number
     change = abs(runs.mean_m[c] - runs.range_m[c])
     if begins or change > TEST_BAND_FACTOR * mean_band_m(sigma, number):

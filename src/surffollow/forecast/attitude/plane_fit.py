@@ -72,7 +72,7 @@ def propagate_slopes(adaptive, t_ns):
     plane = adaptive.plane
     dt = (t_ns - plane.t_ns) * 1e-9
     plane.t_ns = t_ns
-    if not 0.0 < dt <= tolerated_gap_s(adaptive.prediction.interval_s):
+    if not 0.0 < dt <= tolerated_gap_s(adaptive.hold.interval_s):
         plane.slope_rate_x_hz = plane.slope_rate_y_hz = dt = 0.0
     shift_slopes(plane, plane.slope_rate_x_hz * dt, plane.slope_rate_y_hz * dt)
     return dt

@@ -49,7 +49,7 @@ def flat_height(beams, curvature, c):
 
 @jit_inlined
 def principal_axis(xx, xy, yy):
-    """Unit vector along which points of these moments of inertia are spread most; (1, 0) where none is."""
+    """Unit vector along which points of these second moments are spread most; (1, 0) where none is."""
     cosine, sine = xx - yy, 2.0 * xy  # of twice its angle, times their length
     length = elementary.hypot(cosine, sine)
     if not length > 0.0:

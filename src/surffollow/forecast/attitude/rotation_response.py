@@ -35,7 +35,7 @@ def expected_range(params, c):
 
 
 @jit
-def mean_range(params, beams, sense, t_ns, range_m):
+def mean_beam_range(params, beams, sense, t_ns, range_m):
     """Mean of the newest ranges of all beams [m]: constant only if none of them responds.
 
     Beams that are inclined, or mounted higher, count as if they were not: at the stand-off the mean is the
@@ -80,7 +80,7 @@ def observe_rotation(params, adaptive, t_ns, pose):
     """
     rotation, plane = adaptive.rotation, adaptive.plane
     dt = (t_ns - rotation.t_ns) * 1e-9
-    begins = rotation.t_ns == 0 or not 0.0 < dt <= tolerated_gap_s(adaptive.prediction.interval_s)
+    begins = rotation.t_ns == 0 or not 0.0 < dt <= tolerated_gap_s(adaptive.hold.interval_s)
     if plane.rank != 2:
         if begins:
             reset_rotation(rotation)  # too few beams to see a response: what is left is followed as ever

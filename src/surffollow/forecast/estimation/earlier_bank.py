@@ -6,7 +6,8 @@ without the newest accepted sample, that sample was wrong.
 """
 
 from surffollow.forecast.estimation import model_bank, model_weights
-from surffollow.forecast.estimation.innovation_gate import is_outlier, is_slow
+from surffollow.forecast.estimation.innovation_gate import is_outlier
+from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.shm.jit import jit
 
 

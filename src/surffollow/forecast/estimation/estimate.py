@@ -20,6 +20,7 @@ from surffollow.forecast.sensing.kinematics import (
     is_at_rest,
     is_other_frame,
 )
+from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.forecast.terrain.terrain_buffer import sensor_leads, store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, N_MODELS, PENDING_HEIGHTS, RESTART, STEP
@@ -169,7 +170,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     moved_m = max(travel, GROUND_SPEED_MPS * dt)
     way = moved_m if rests else travel
     # what a slow sensor sees of ground that moves is too little to follow it
-    stretch = 1.0 if innovation_gate.is_slow(adaptive) else moved_m / way
+    stretch = 1.0 if is_slow(adaptive) else moved_m / way
     model_bank.propagate_bank(bank, way, moved_m, stretch)
     earlier_bank.take_back(params, adaptive, h_m, travel, way, moved_m, stretch)
     estimate.height_m = model_weights.blended(adaptive, bank.height_m)
@@ -177,7 +178,7 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     # a fall that was expected is part of the innovation, too
     steepest = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)
     rose = gate.nearer != 0
-    decision = innovation_gate.judge_sample(params, adaptive, innovation, travel, steepest)
+    decision = innovation_gate.gate_sample(params, adaptive, innovation, travel, steepest)
     if decision < ACCEPTED:
         return False
     if decision == RESTART:

@@ -26,7 +26,6 @@ from surffollow.forecast.estimation.pending_samples import (
     reset_pending,
 )
 from surffollow.forecast.modes import adapts
-from surffollow.forecast.plant.axis_model import is_long
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
     DROPOUT_INTERVALS,
@@ -36,13 +35,13 @@ from surffollow.forecast.quantities import (
     QUICK_RATE,
     USUAL_SAMPLES,
 )
-from surffollow.forecast.sensing.sample_hold import count_m
+from surffollow.forecast.sensing.sample_hold import count_m, is_slow
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, PENDING, RESTART, STEP, WITHHELD
 
 
 @jit
-def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m):
+def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
     """Decide on a sample, and note what the next one needs of it.
 
     Parameters
@@ -68,7 +67,7 @@ def judge_sample(params, adaptive, innovation_m, travel_m, steepest_m):
         drop_pending(pending)
         gate.nearer, gate.unconfirmed_m, gate.withheld_m = 0, 0.0, 0.0
     elif decision < ACCEPTED:  # it waits
-        adapt, noisy_s = adapts(params, adaptive), pending.rejected * adaptive.prediction.interval_s
+        adapt, noisy_s = adapts(params, adaptive), pending.rejected * adaptive.hold.interval_s
         if adapt and decision == WITHHELD and estimate.samples > 1:
             update_scale(gate, innovation_m)  # frequent ones mean rough ground
         _note_nearer(gate, innovation_m, decision == WITHHELD)
@@ -89,12 +88,12 @@ def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
     exceeds u. Behind a drop-out a second one comes soon: they are sparse if they usually are.
     """
     gate, samples = adaptive.gate, adaptive.estimate.samples
-    usual, sparse_m = gate_width(params, adaptive), plausible_change_m(travel_m)
-    usual_way_m = DROPOUT_INTERVALS * adaptive.kinematics.speed_mps * adaptive.prediction.interval_s
+    usual, sparse_m = gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m
+    usual_way_m = DROPOUT_INTERVALS * adaptive.kinematics.speed_mps * adaptive.hold.interval_s
     begins = samples < CONFIRMATION_SAMPLES
     plausible = steepest_m if begins else sparse_m
     gate.width_m = max(usual, plausible)
-    sparse = min(sparse_m, plausible_change_m(usual_way_m)) > usual
+    sparse = min(sparse_m, PLAUSIBLE_SLOPE * usual_way_m) > usual
     # while no slope is known, samples of nearer ground count on their own
     sparse = sparse or (begins and innovation_m > 0.0 and plausible > usual)
     inner_m = INNER_GATE * (gate.width_m if begins else usual)
@@ -180,21 +179,9 @@ def gate_width(params, adaptive):
 
 
 @jit
-def plausible_change_m(travel_m):
-    """Change of the ground's height over a distance that a single sample may show [m]."""
-    return PLAUSIBLE_SLOPE * travel_m
-
-
-@jit
 def is_outlier(params, adaptive, innovation_m, travel_m):
     """Whether a sample with this innovation, so far behind the one before, lies beyond the inner gate."""
-    return abs(innovation_m) > INNER_GATE * max(gate_width(params, adaptive), plausible_change_m(travel_m))
-
-
-@jit
-def is_slow(adaptive):
-    """Whether the sensor's interval is long for the axis: a second sample comes late."""
-    return is_long(adaptive.prediction.interval_s, adaptive.plant.tau_s)
+    return abs(innovation_m) > INNER_GATE * max(gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m)
 
 
 @jit

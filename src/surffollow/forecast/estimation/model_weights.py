@@ -83,7 +83,7 @@ def compute_costs(params, adaptive):
     noise_j = params.noise_share * min(noise_m * noise_m, least_j)
     noise_l = params.noise_share * min(noise_m * noise_m, least_l)
     floor = params.score_floor_m * params.score_floor_m
-    spacing_m = path_speed(adaptive.kinematics) * adaptive.prediction.interval_s
+    spacing_m = path_speed(adaptive.kinematics) * adaptive.hold.interval_s
     for i in range(N_MODELS):
         c = p_j * elementary.log(weights.recent_m2[i] - noise_j + floor)
         c += p_l * elementary.log(weights.longer_m2[i] - noise_l + floor)

@@ -6,7 +6,7 @@ because it may be a slot. The distance depends on the likelihood of slots: slots
 
 from surffollow.forecast.plant.axis_model import is_long
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
-from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS, count_m
+from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS, count_m, is_slow
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
@@ -16,7 +16,7 @@ INNER_GATE = 0.5  # of the gate: beyond, a single sample is not accepted, and tw
 @jit
 def possible_rise_m(params, adaptive, travel_m):
     """Rise of nearer ground between two samples: by `MAX_SLOPE`, or as fast as the axis can move [m]."""
-    return max(MAX_SLOPE * travel_m, params.plant_v_max_mps * adaptive.prediction.interval_s)
+    return max(MAX_SLOPE * travel_m, params.plant_v_max_mps * adaptive.hold.interval_s)
 
 
 @jit
@@ -53,7 +53,7 @@ def _add_pending(adaptive, innovation_m, travel_m):
 @jit
 def _needed(params, adaptive, rises_on):
     """Number of pending samples that confirm a step."""
-    pending, tau_s, interval_s = adaptive.pending, adaptive.plant.tau_s, adaptive.prediction.interval_s
+    pending, tau_s, interval_s = adaptive.pending, adaptive.plant.tau_s, adaptive.hold.interval_s
     needed = params.step_samples
     late = is_long(needed * interval_s, tau_s)
     if late or adaptive.gate.slot_likelihood < 0.2:  # a third one comes late, or steps have stayed
@@ -115,8 +115,7 @@ def nearer_wait(adaptive):
     """
     pending = adaptive.pending
     nearer = pending.samples > 0 and pending.innovation_m > 0.0
-    slow = is_long(adaptive.prediction.interval_s, adaptive.plant.tau_s)
-    return nearer and (slow or pending.samples + pending.rejected >= CONFIRMATION_SAMPLES)
+    return nearer and (is_slow(adaptive) or pending.samples + pending.rejected >= CONFIRMATION_SAMPLES)
 
 
 @jit

@@ -16,7 +16,7 @@ from surffollow.forecast.estimation.noise import MIN_NOISE_M, range_noise_m
 from surffollow.forecast.modes import learns
 from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose, newest_until, pose_at
-from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
+from surffollow.forecast.quantities import MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
 from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit, jit_inlined
@@ -37,7 +37,7 @@ def time_constant_s(plant, k):
 
 
 @jit
-def reset_axes(params, adaptive, t_ns, z_m):
+def reset_axes(params, adaptive, t_ns, z_m, begins):
     """Put all axis models where the tool is.
 
     Parameters
@@ -45,6 +45,7 @@ def reset_axes(params, adaptive, t_ns, z_m):
     params, adaptive : records of `Params`, `AdaptiveState` (`plant` updated)
     t_ns : int64   timestamp of the pose report
     z_m : float64  reported height of the tool [m]
+    begins : bool  a start or SFReset: a τ that is configured anew takes effect
     """
     plant = adaptive.plant
     climb_mps = adaptive.kinematics.climb_mps - plant.disturbance_mps
@@ -53,7 +54,7 @@ def reset_axes(params, adaptive, t_ns, z_m):
     plant.axis_m, plant.axis_mps = z_m, climb_mps
     plant.t_ns = t_ns
     plant.offset_m = plant.scatter_m = 0.0
-    if plant.tau_configured_s != params.plant_tau_s:  # or nothing has begun yet
+    if begins and plant.tau_configured_s != params.plant_tau_s:
         plant.tau_s = plant.tau_configured_s = params.plant_tau_s
         plant.error_m2[:] = 0.0
 
@@ -150,11 +151,11 @@ def update_plant(params, adaptive, sense, inputs):
             plant.error_m2[k] -= least
     applied = adaptive.controller.periods > 0 and setpoint.t_ns != 0 and setpoint.in_dryrun == 0
     continues = plant.t_ns < t <= plant.t_ns + axis_model.MAX_AXIS_GAP_NS
-    if plant.t_ns < t <= plant.t_ns + LONG_GAP_NS:
-        plant.coast_scatter_m = follow_usual(plant.coast_scatter_m, abs(z - adaptive.kinematics.coasted_m))
-    if not applied or not continues or plant.tau_configured_s != params.plant_tau_s:
+    begins = plant.tau_configured_s == 0.0 or plant.begins != 0
+    plant.begins = 0
+    if not applied or not continues or (begins and plant.tau_configured_s != params.plant_tau_s):
         plant.disturbance_mps = 0.0
-        reset_axes(params, adaptive, t, z)
+        reset_axes(params, adaptive, t, z, begins)
         return
     if inputs.n_ranges <= 0:  # otherwise the caller latches each answer himself
         record_latch(plant, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS, plant.newest_m)
@@ -166,7 +167,7 @@ def update_plant(params, adaptive, sense, inputs):
     if not least < axis_model.MAX_MODEL_ERROR_M:
         suspend_preview(adaptive.preview, t + 500_000_000)
     if not least < 3e-3:  # the robot does not follow: the axes begin at the tool
-        reset_axes(params, adaptive, t, z)
+        reset_axes(params, adaptive, t, z, False)
         return
     e = z - plant.axis_m
     plant.scatter_m = follow_usual(plant.scatter_m, abs(e - plant.offset_m))
@@ -204,7 +205,8 @@ def height_is_known(adaptive, sense, t_ns):
     quick = 0.0 < interval_s < axis_model.LONG_TAUS * plant.tau_s
     if quick or t_ns <= sense.pose_t_ns[newest_pose(sense)]:
         return True
-    error_m = min(plant.scatter_m, plant.coast_scatter_m) if plant.scatter_m > 0.0 else plant.coast_scatter_m
+    coasts_m = adaptive.kinematics.climb_scatter_m
+    error_m = min(plant.scatter_m, coasts_m) if plant.scatter_m > 0.0 else coasts_m
     return error_m <= max(axis_model.MAX_MODEL_ERROR_M, range_noise_m(adaptive.noise))
 
 
@@ -230,7 +232,7 @@ def predict_pose(params, adaptive, sense, t_ns, pose):
     pose[0] += motion.velocity_x_mps * dt
     pose[1] += motion.velocity_y_mps * dt
     pose[2] = kinematics.coast_height(motion, sense, sense.pose_count - 1, t_ns)
-    if 0.0 < plant.scatter_m < plant.coast_scatter_m:
+    if 0.0 < plant.scatter_m < motion.climb_scatter_m:
         pose[2] = predict_axis(params, plant, t_ns)[0] + plant.offset_m
 
 

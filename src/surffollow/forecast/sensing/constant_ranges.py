@@ -64,7 +64,7 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
         error_m = min(abs(run.mean_m - run.standoff_m), MAX_USUAL_ERROR * run.standoff_m)
         run.error_m += SLOW_RATE * (error_m - run.error_m)
     run.samples += 1
-    rate = min(1.0, adaptive.prediction.interval_s / (ANSWER_TAUS * adaptive.plant.tau_s))
+    rate = min(1.0, adaptive.hold.interval_s / (ANSWER_TAUS * adaptive.plant.tau_s))
     run.mean_slope += rate * (adaptive.estimate.slope - run.mean_slope)
     # its own mean is the better known one, but in the test of a descent the middle of a spread is
     if adaptive.response.swing_m == 0.0 and number < run.samples < mean_range.RUN_SAMPLES:
@@ -116,7 +116,7 @@ def sign_of_fault(adaptive, motion_m):
     run, lag_s, band_m = adaptive.run, adaptive.plant.tau_s, mean_range.range_band_m(adaptive)
     number = mean_range.mean_samples(adaptive)
     if number <= mean_range.MIN_READINGS:  # over falling ground the tool is late by part of the interval
-        lag_s += LEVEL_SHARE / mean_range.LAG_TAUS * adaptive.prediction.interval_s
+        lag_s += LEVEL_SHARE / mean_range.LAG_TAUS * adaptive.hold.interval_s
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
@@ -131,7 +131,7 @@ def sign_of_fault(adaptive, motion_m):
     lags = few or error_m <= mean_range.LAG_TAUS * lag_s * run.rate_mps
     slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
     if not below:  # the ground under the tool is not seen: it may rise as when the run began
-        run_s = run.samples * adaptive.prediction.interval_s
+        run_s = run.samples * adaptive.hold.interval_s
         motion_m += max(run.slope, 0.0) * path_speed(adaptive.kinematics) * run_s
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
         return layout.NO_SIGN

@@ -39,7 +39,7 @@ def begin_descent(adaptive, tool_z_m, reach_m):
 
 @jit
 def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
-    """Update the descent with a sample of channel 0: whether it is unexplained, and is to be tested at once.
+    """Update the descent with a sample of channel 0; half the spread of the ranges if it is to be tested [m].
 
     With mean error e, fall Δz, spread ±B of the ranges, stand-off s₀, RMS slope m before the descent and the
     distance d travelled it is unexplained if
@@ -62,7 +62,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     -------
     float64  half the spread ±B of the ranges, if the descent is to be tested [m]; 0: it is not
     """
-    descent, before_ns, interval_s = adaptive.descent, adaptive.response.t_ns, adaptive.prediction.interval_s
+    descent, before_ns, interval_s = adaptive.descent, adaptive.response.t_ns, adaptive.hold.interval_s
     number, band = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
     share_m = TESTED_SHARE * params.offset_m
     if before_ns == 0 or not 0 < t_ns - before_ns < LONG_GAP_NS:
@@ -138,7 +138,7 @@ def _is_testable(params, adaptive, t_ns, tool_z_m, spread_m):
     t_ns : int64  timestamp of the sample
     """
     descent, response, estimate = adaptive.descent, adaptive.response, adaptive.estimate
-    known = estimate.samples * adaptive.prediction.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
+    known = estimate.samples * adaptive.hold.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
     quick = mean_range.mean_samples(adaptive) >= mean_range.MAX_READINGS
     narrow = spread_m < TESTED_SHARE * params.offset_m
     falls_m = abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, MIN_MEANS)

@@ -5,9 +5,8 @@ from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.quantities import follow_interval, tolerated_gap_s
 from surffollow.forecast.sensing.constant_ranges import moves_tool
 from surffollow.forecast.sensing.frame_check import is_reversed, moves_to_check
-from surffollow.forecast.sensing.kinematics import has_jumped
+from surffollow.forecast.sensing.kinematics import has_jumped, path_speed
 from surffollow.forecast.sensing.latency_identification import is_late
-from surffollow.forecast.sensing.range_prediction import predict_range
 from surffollow.forecast.sensing.response import is_unresponsive
 from surffollow.forecast.sensing.unseen_ground import uncertain_clearance
 from surffollow.shm import layout_adaptive as layout
@@ -19,7 +18,7 @@ from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 @jit
 def missing_s(adaptive, since_ns, least_ns=quantities.MAX_GAP_NS):
     """Time for which a sample after this time is missing, beyond the usual delay and gap [s]; ≤ 0: no."""
-    tolerance_s = adaptive.latency.delay_s + tolerated_gap_s(adaptive.prediction.interval_s, least_ns)
+    tolerance_s = adaptive.latency.delay_s + tolerated_gap_s(adaptive.hold.interval_s, least_ns)
     return (adaptive.clock.now_ns - since_ns) * 1e-9 - tolerance_s
 
 
@@ -124,8 +123,9 @@ def is_outside(params, adaptive):
     """Whether readings lie outside the window: several do, or the last sample or the next is within 3 mm."""
     if adaptive.health.outside >= quantities.CONFIRMATION_SAMPLES:
         return True
-    hold, prediction = adaptive.hold, adaptive.prediction
-    next_m = predict_range(prediction, prediction.interval_s)
+    hold, motion = adaptive.hold, adaptive.kinematics
+    rate_mps = motion.climb_mps - adaptive.estimate.slope * path_speed(motion)
+    next_m = hold.range_m + rate_mps * hold.interval_s
     nearest_m, farthest_m = min(hold.range_m, next_m), max(hold.range_m, next_m)
     return min(nearest_m - params.range_min_m, params.range_max_m - farthest_m) < 0.003
 
@@ -163,7 +163,7 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
         (silent != 0, layout.SUSPECT, layout.REASON_SILENT | silent_bits),
         (old != 0, layout.SUSPECT, layout.REASON_OLD | old << layout.REASON_CHANNELS),
         (left_out != 0, layout.SUSPECT, layout.REASON_LEFT_OUT | left_out << layout.REASON_CHANNELS),
-        (is_late(params, adaptive), layout.SUSPECT, layout.REASON_LATE),
+        (is_late(adaptive), layout.SUSPECT, layout.REASON_LATE),
         (adaptive.repeats.unused != 0, layout.SUSPECT, layout.REASON_REPEATED),
         (adaptive.descent.unexplained != 0, layout.SUSPECT, layout.REASON_DESCENT),
         (adaptive.pending.samples > 0, layout.SUSPECT, layout.REASON_PENDING),

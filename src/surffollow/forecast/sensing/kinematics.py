@@ -1,7 +1,7 @@
-"""Velocity of the tool and its pose at a given time."""
+"""Velocity of the tool, and jumps of its reported position."""
 
 from surffollow.forecast import elementary
-from surffollow.forecast.pose import newest_pose, newest_until
+from surffollow.forecast.pose import newest_until
 from surffollow.forecast.quantities import (
     APART_M,
     LONG_GAP_NS,
@@ -22,13 +22,12 @@ WAY_SCATTERS = 3.0  # usual distances of a report from its way: a shorter way is
 
 
 @jit
-def oldest_pose_within(sense, window_ns, first_ns):
-    """Sequence number of the newest pose report that is at least `window_ns` older than the newest one.
+def report_before_window(sense, last, window_ns, first_ns):
+    """Sequence number of the newest pose report that is at least `window_ns` older than report `last`.
 
-    Reports from before a long gap, or before the time `first_ns`, do not count; the newest one may be
-    the only one.
+    Reports from before a long gap, or before the time `first_ns`, do not count; that one may be the only one.
     """
-    t = sense.pose_t_ns[newest_pose(sense)]
+    t = sense.pose_t_ns[last & (POSES - 1)]
     k = newest_until(sense.pose_t_ns, sense.pose_count, max(t - window_ns, first_ns))
     return k + 1 if t - sense.pose_t_ns[k & (POSES - 1)] > LONG_GAP_NS else k
 
@@ -55,34 +54,37 @@ def velocity_between(sense, first, last):
 
 
 @jit
-def note_jump(params, kinematics, sense):
-    """Note a jump of the reported position, no report of which continues; whether there is one.
+def note_jump(params, kinematics, sense, last):
+    """Note a jump of the reported position with report `last`; whether there is one.
 
     A lateral jump disagrees with the velocity and with the way between the two reports before: a change of
     speed agrees with the latter from its second report on. A vertical jump disagrees with the velocity by
     more than the axis can change its way in that time, 2 · v_max · Δt. Both are outliers among the usual
     disagreements: noise of the reports, and of their timestamps, is no jump.
     """
-    last = sense.pose_count - 1
-    vx, vy, vz, dt = velocity_between(sense, last - 1, last)
-    if not 0.0 < dt <= PAUSE_NS * 1e-9:
+    slot = last & (POSES - 1)
+    t_ns, height_m = sense.pose_t_ns[slot], sense.pose[7 * slot + 2]
+    vx, vy, _, dt = velocity_between(sense, last - 1, last)
+    if not 0.0 < dt <= LONG_GAP_NS * 1e-9:
+        return False
+    up = abs(height_m - coast_height(kinematics, sense, last - 1, t_ns))
+    most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, params.gate_scales * kinematics.climb_scatter_m)
+    kinematics.climb_scatter_m = follow_usual(kinematics.climb_scatter_m, min(up, most_up))
+    if dt > PAUSE_NS * 1e-9:
         return False
     aside = elementary.hypot(vx - kinematics.velocity_x_mps, vy - kinematics.velocity_y_mps) * dt
     if last > 1:
         before_x, before_y, _, before_s = velocity_between(sense, last - 2, last - 1)
         if 0.0 < before_s <= PAUSE_NS * 1e-9:
             aside = min(aside, elementary.hypot(vx - before_x, vy - before_y) * dt)
-    up = abs(vz - kinematics.climb_mps) * dt
     most_aside = max(0.02, params.gate_scales * kinematics.scatter_m)  # 20 mm aside are no jump
-    most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, params.gate_scales * kinematics.climb_scatter_m)
     kinematics.scatter_m = follow_usual(kinematics.scatter_m, min(aside, most_aside))
     # from 0: a first report that starts or stops the tool is no noise
     kinematics.noise_m += (min(aside, most_aside) - kinematics.noise_m) / USUAL_SAMPLES
-    kinematics.climb_scatter_m = follow_usual(kinematics.climb_scatter_m, min(up, most_up))
     climbed = up > most_up
     if not climbed and aside <= most_aside:
         return False
-    kinematics.jump_ns = sense.pose_t_ns[newest_pose(sense)]
+    kinematics.jump_ns = t_ns
     kinematics.jump = max(kinematics.jump, JUMP_UP if climbed else JUMP_ASIDE)
     return True
 
@@ -123,18 +125,19 @@ def coast_height(kinematics, sense, report, t_ns):
 
 
 @jit
-def travel_velocity(kinematics, sense):
-    """Lateral velocity over 100 ms, or 300 ms where the way is hardly more than noise of the poses [m/s].
+def travel_velocity(kinematics, sense, last):
+    """Lateral velocity up to report `last` [m/s]: over 100 ms, or 300 ms where noise hides the shorter way.
 
     The longer mean decides on that: the shorter one would be taken where noise makes it too great. It is 0
     where the longer way, too, is hardly more than noise, and where it is so much longer that the tool has
     just stopped. Reports from before a jump do not count.
     """
-    last, jump_ns, noise_m = sense.pose_count - 1, kinematics.jump_ns, WAY_SCATTERS * kinematics.noise_m
-    short_x, short_y, _, dt = velocity_between(sense, oldest_pose_within(sense, PAUSE_NS, jump_ns), last)
+    jump_ns, noise_m = kinematics.jump_ns, WAY_SCATTERS * kinematics.noise_m
+    first = report_before_window(sense, last, PAUSE_NS, jump_ns)
+    short_x, short_y, _, dt = velocity_between(sense, first, last)
     if elementary.hypot(short_x, short_y) * dt >= 2.0 * noise_m:
         return short_x, short_y
-    first = oldest_pose_within(sense, 3 * PAUSE_NS, jump_ns)
+    first = report_before_window(sense, last, 3 * PAUSE_NS, jump_ns)
     vx, vy, _, long_s = velocity_between(sense, first, last)
     speed = elementary.hypot(vx, vy)
     if speed * dt >= noise_m and elementary.hypot(short_x, short_y) * dt >= 0.5 * noise_m:
@@ -148,28 +151,37 @@ def travel_velocity(kinematics, sense):
 
 @jit
 def update_kinematics(params, kinematics, sense, begins):
-    """Lateral and vertical velocity of the tool with a new report; returns whether it jumped.
+    """Lateral and vertical velocity of the tool with all new reports; returns whether it jumped.
 
     Parameters
     ----------
     params, kinematics, sense : records of `Params`, `Kinematics` (updated), `SenseState`
     begins : bool  there was no report before
     """
-    jumped = not begins and note_jump(params, kinematics, sense)
-    last, newest_ns, jump_ns = sense.pose_count - 1, sense.pose_t_ns[newest_pose(sense)], kinematics.jump_ns
-    kinematics.coasted_m = coast_height(kinematics, sense, last - 1, newest_ns)
-    if newest_ns == jump_ns:
-        return jumped  # the velocity is that before the jump
-    vx, vy = travel_velocity(kinematics, sense)
+    newest, jumped = sense.pose_count - 1, False
+    first = newest if begins else min(max(kinematics.reports, newest - POSES // 2), newest)
+    for k in range(first, newest + 1):
+        if not begins and note_jump(params, kinematics, sense, k):
+            jumped = True
+        else:
+            update_velocity(kinematics, sense, k)
+    kinematics.reports = sense.pose_count
+    return jumped
+
+
+@jit
+def update_velocity(kinematics, sense, last):
+    """Lateral and vertical velocity of the tool with report `last`; at a jump it stays that before."""
+    jump_ns = kinematics.jump_ns
+    vx, vy = travel_velocity(kinematics, sense, last)
     # it starts at twice the speed at which it stops: the path does not change again and again
     least_mps = MIN_DIRECTION_SPEED_MPS * (1.0 if is_at_rest(kinematics) else 0.5)
     kinematics.speed_mps = elementary.hypot(vx, vy)
     if kinematics.speed_mps < least_mps:
         kinematics.speed_mps = vx = vy = 0.0
     kinematics.velocity_x_mps, kinematics.velocity_y_mps = vx, vy
-    near = oldest_pose_within(sense, CLIMB_WINDOW_NS, jump_ns)
+    near = report_before_window(sense, last, CLIMB_WINDOW_NS, jump_ns)
     _, _, kinematics.climb_mps, _ = velocity_between(sense, near, last)
-    return jumped
 
 
 @jit

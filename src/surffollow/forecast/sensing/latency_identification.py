@@ -51,16 +51,16 @@ def update_delay(latency, delay_s, stamped_s, interval_s):
 
 
 @jit
-def is_late(params, adaptive):
+def is_late(adaptive):
     """Whether samples arrive later than they did: the delay grows, or the timestamps fall behind.
 
-    The first means of a channel are of fewer ranges, and younger. Ground that is seen 2 τ late is behind the
-    tool, and the axis has moved since. A clock that falls behind slowly makes the slow mean grow, which
+    The first means of several ranges are of fewer ones, and younger. Ground that is seen 2 τ late is behind
+    the tool, and the axis has moved since. A clock that falls behind slowly makes the slow mean grow, which
     scatters less and is compared with that of the first samples. When that is long for the axis, the tool
     begins to swing.
     """
     latency, tau_s = adaptive.latency, adaptive.plant.tau_s
-    younger_s = 0.5 * (params.sensor_readings - 1) * adaptive.prediction.interval_s
+    younger_s = 0.5 * (adaptive.hold.readings - 1) * adaptive.hold.interval_s
     grown_s, drifted_s = latency.delay_s - latency.least_s, latency.mean_s - latency.first_s
     return grown_s > 2.0 * tau_s + younger_s or axis_model.is_long(drifted_s - younger_s, tau_s)
 

@@ -17,7 +17,7 @@ TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during 
 @jit
 def mean_samples(adaptive):
     """Samples in a mean range: those of a time constant, within limits."""
-    interval_s = max(adaptive.prediction.interval_s, 1e-6)
+    interval_s = max(adaptive.hold.interval_s, 1e-6)
     return min(max(adaptive.plant.tau_s / interval_s, MIN_READINGS), MAX_READINGS)
 
 

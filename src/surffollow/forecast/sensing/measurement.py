@@ -5,7 +5,7 @@ range → pose at the range's timestamp → footprint → latency, health, plane
 
 from surffollow.forecast import elementary, fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
-from surffollow.forecast.estimation import estimate, innovation_gate
+from surffollow.forecast.estimation import estimate
 from surffollow.forecast.modes import orients
 from surffollow.forecast.plant.plant_identification import height_is_known, predict_pose
 from surffollow.forecast.pose import footprint, newest_pose
@@ -19,8 +19,7 @@ from surffollow.forecast.sensing import (
     response,
     standoff,
 )
-from surffollow.forecast.sensing.range_prediction import update_prediction
-from surffollow.forecast.sensing.sample_hold import new_sample, observe_timestamp, record_sample
+from surffollow.forecast.sensing.sample_hold import is_slow, new_sample, observe_timestamp, record_sample
 from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import JUMP_SEEN
@@ -151,17 +150,16 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose, close):
     -------
     bool, int64 [ns]
     """
-    update_prediction(params, adaptive.prediction, t_ns, range_m)
     record_sample(adaptive.hold, t_ns, range_m)
     stamped_s = (adaptive.clock.now_ns - t_ns) * 1e-9
     if not orients(params):  # beams have timestamps of their own, without correction
         t_ns -= int(adaptive.latency.correction_s * 1e9)
-    delay_s, interval_s = (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.prediction.interval_s
+    delay_s, interval_s = (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.hold.interval_s
     latency_identification.update_delay(adaptive.latency, delay_s, stamped_s, interval_s)
     predict_pose(params, adaptive, sense, t_ns, pose)
     was_stuck = response.is_unresponsive(adaptive.response)
     if orients(params):
-        range_m = rotation_response.mean_range(params, adaptive.beams, sense, t_ns, range_m)
+        range_m = rotation_response.mean_beam_range(params, adaptive.beams, sense, t_ns, range_m)
     frame_check.observe_frame(params, adaptive, close, t_ns, range_m, pose[2])
     if kinematics.is_other_frame(adaptive.kinematics, t_ns):
         response.restart_test(adaptive.response)  # its heights are in the frame before
@@ -190,7 +188,7 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
         sample.tip_x_m, sample.tip_y_m, _ = standoff.axis_ground_point(params, pose, 0)
     travel = motion.speed_mps * (t_ns - adaptive.estimate.sample_ns) * 1e-9 if known else 0.0
     # the tool of a slow sensor may have turned since the sample before
-    if known and innovation_gate.is_slow(adaptive) and not spans_jump(adaptive):
+    if known and is_slow(adaptive) and not spans_jump(adaptive):
         travel = elementary.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
     sample.spacing_m = follow_usual(sample.spacing_m, travel)
@@ -242,9 +240,9 @@ def follow_heading(adaptive, x_m, y_m):
     way_x, way_y = x_m - sample.x_m, y_m - sample.y_m
     along = way_x * sample.heading_x + way_y * sample.heading_y
     known = adaptive.estimate.samples > 0  # a first sample has no footprint before it
-    if known and innovation_gate.is_slow(adaptive):
+    if known and is_slow(adaptive):
         way = elementary.hypot(way_x, way_y)
-        least_m = kinematics.MIN_DIRECTION_SPEED_MPS * adaptive.prediction.interval_s
+        least_m = kinematics.MIN_DIRECTION_SPEED_MPS * adaptive.hold.interval_s
         if way <= least_m or spans_jump(adaptive):
             return
         turned = sample.heading_x != 0.0 or sample.heading_y != 0.0

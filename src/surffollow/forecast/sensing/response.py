@@ -25,7 +25,6 @@ SWINGS = (3.0, 4.5)
 STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
 # of the lift in an ascent: who misses less has obeyed. The setpoint of another tool stays ahead by all of it
 OBEYED = 0.65
-MARGIN = 1.0  # stand-offs kept to the end of the window: a lift, and uneven ground
 
 
 @jit
@@ -56,7 +55,8 @@ def _ceiling_m(params, adaptive, tool_z_m, lift_m):
     if adaptive.response.rises != 0:
         begun_z_m = run.low_z_m
     rise_m = max(run.slope, 0.0) * path_speed(adaptive.kinematics) * lasts_s
-    seen_z_m = begun_z_m + max(room_m - MARGIN * standoff_m, 0.5 * room_m)
+    # a stand-off is kept to the end of the window for a lift and uneven ground
+    seen_z_m = begun_z_m + max(room_m - standoff_m, 0.5 * room_m)
     climbed_z_m = tool_z_m + 2.0 * lift_m + run.rate_mps * lasts_s
     return min(climbed_z_m, max(seen_z_m, tool_z_m + lift_m + rise_m))
 
@@ -75,7 +75,7 @@ def _begin_lift(params, adaptive, tool_z_m, lift_m):
 def answer_s(adaptive, means):
     """Time from a hold or a shift until so many mean ranges are of a tool that has obeyed [s]."""
     obeyed_s = adaptive.latency.delay_s + STOP_TAUS * adaptive.plant.tau_s
-    return obeyed_s + means * mean_range.mean_samples(adaptive) * adaptive.prediction.interval_s
+    return obeyed_s + means * mean_range.mean_samples(adaptive) * adaptive.hold.interval_s
 
 
 @jit
@@ -122,7 +122,7 @@ def _update_run(params, adaptive, tool_z_m):
     if response.lift_m == 0.0 and (long or ((steep or returns) and descent > least_m)):
         _begin_phase(response, layout.RESPONSE_RUN, tool_z_m)
         response.lift_m = (1.0 if steep else 0.5) * MOTION_BANDS * band_m
-        begun_ns = response.t_ns - int(1e9 * run.samples * adaptive.prediction.interval_s)
+        begun_ns = response.t_ns - int(1e9 * run.samples * adaptive.hold.interval_s)
         below = abs(adaptive.sample.lead_m) < APART_M  # the range of a lead has the slope in it
         if not rises and below and begun_ns < response.settled_ns:
             # the run began while the tool came back from a test: what is left of that would hide the answer
@@ -225,7 +225,7 @@ def _note_answer(adaptive, deviation_m):
     A jump from the mean range by more than noise and the way of the tool in its time is no proof, nor is a
     shorter range: where the ground falls, a test makes it longer.
     """
-    response, mean_s = adaptive.response, mean_range.mean_samples(adaptive) * adaptive.prediction.interval_s
+    response, mean_s = adaptive.response, mean_range.mean_samples(adaptive) * adaptive.hold.interval_s
     if response.phase == layout.RESPONSE_RUN and response.lift_m == 0.0:
         return
     response.settled_ns = response.t_ns + int(1e9 * answer_s(adaptive, 1.0))
@@ -250,7 +250,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     response, sigma_m = adaptive.response, mean_range.range_sigma_m(adaptive)
     noise_m = mean_range.BAND_SIGMAS * sigma_m
     begins = response.t_ns == 0 or t_ns < response.t_ns
-    if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.prediction.interval_s):
+    if (t_ns - response.t_ns) * 1e-9 > tolerated_gap_s(adaptive.hold.interval_s):
         if response.phase != layout.RESPONSE_FAILED:
             response.test_ns = t_ns  # an answer takes time with samples
         if response.phase == layout.RESPONSE_RUN:

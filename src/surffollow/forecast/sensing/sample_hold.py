@@ -4,10 +4,12 @@ A sensor holds each value for a while, and the converter reads it many times.
 """
 
 from surffollow.forecast.modes import orients
-from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, QUICK_RATE
+from surffollow.forecast.plant.axis_model import is_long
+from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, LONG_GAP_NS, QUICK_RATE, follow_interval
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
+PAUSE_INTERVALS = 5.0  # usual intervals, or seconds if that is more: a longer gap is no interval
 HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample, and no new height
 
 
@@ -33,11 +35,12 @@ def new_sample(params, adaptive, sense, inputs, channel):
         return False, 0.0, 0
     if not converted:
         value, t, flicker = sense.range_m[channel], sense.range_t_ns[channel], 0.0
+        hold.readings = params.sensor_readings
     else:
         base = channel * CONVERSION_WINDOW
         newest = base + ((n - 1) & (CONVERSION_WINDOW - 1))
         value, t = sense.window_m[newest], sense.window_t_ns[newest] - params.sensor_latency_ns
-        flicker = HOLD_TOLERANCE_COUNTS * abs(params.scale_m[channel])
+        flicker, hold.readings = HOLD_TOLERANCE_COUNTS * abs(params.scale_m[channel]), 1
         # the latency is that of the middle of a held value; its first conversion is younger, at most by it
         younger_ns = min(hold_ns // 2, params.sensor_latency_ns)
         t += younger_ns
@@ -77,7 +80,7 @@ def observe_timestamp(adaptive, t_ns):
         hold.shift_ns = 0
     t = t_ns + hold.shift_ns
     hold.backward = hold.backward + 1 if hold.t_ns != 0 and t < hold.t_ns else 0
-    interval_s = adaptive.prediction.interval_s
+    interval_s = adaptive.hold.interval_s
     overtaken_s = 2.0 * (latency.delay_s - latency.least_s)
     if hold.backward >= CONFIRMATION_SAMPLES and hold.backward * interval_s > overtaken_s:
         shift_ns = hold.t_ns + int(hold.backward * interval_s * 1e9) - t_ns
@@ -88,8 +91,10 @@ def observe_timestamp(adaptive, t_ns):
 
 @jit
 def record_sample(hold, t_ns, range_m):
-    """Hold the newest sample; learn the count of the sensor, which is its least change of range."""
-    change_m = abs(range_m - hold.range_m)
+    """Hold the newest sample; learn the usual interval, and the count, which is the least change of range."""
+    change_m, gap_s = abs(range_m - hold.range_m), (t_ns - hold.t_ns) * 1e-9
+    if hold.t_ns != 0 and gap_s <= PAUSE_INTERVALS * max(hold.interval_s, LONG_GAP_NS * 1e-9):
+        hold.interval_s = follow_interval(hold.interval_s, gap_s)
     if hold.t_ns != 0 and change_m > 0.0:
         hold.changes += 1
         hold.least_m = min(change_m, (1.0 + QUICK_RATE) * hold.least_m) if hold.changes > 1 else change_m
@@ -100,6 +105,12 @@ def record_sample(hold, t_ns, range_m):
 def count_m(hold):
     """Count of the sensor, as far as known [m]: far below the noise unless the sensor is coarse."""
     return hold.least_m if hold.changes >= 8 else 0.0
+
+
+@jit
+def is_slow(adaptive):
+    """Whether the sensor's interval is long for the axis: a second sample comes late."""
+    return is_long(adaptive.hold.interval_s, adaptive.plant.tau_s)
 
 
 @jit

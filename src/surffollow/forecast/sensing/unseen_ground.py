@@ -2,9 +2,9 @@
 
 import math
 
-from surffollow.forecast.estimation.innovation_gate import is_slow
 from surffollow.forecast.sensing.constant_ranges import moves_tool
 from surffollow.forecast.sensing.kinematics import path_speed
+from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
@@ -45,7 +45,7 @@ def uncertain_clearance(adaptive, silent, repeats):
     seen_ns = adaptive.estimate.accepted_ns if repeats and not tested else adaptive.hold.t_ns
     begin_m, unseen_s = adaptive.blend.tracked_m, (adaptive.clock.now_ns - seen_ns) * 1e-9
     if tested:
-        unseen_s += run.samples * adaptive.prediction.interval_s
+        unseen_s += run.samples * adaptive.hold.interval_s
         begin_m = run.low_z_m if response.rises != 0 else run.top_z_m
     descent_m = begin_m - setpoint.position_m if setpoint.t_ns != 0 else 0.0
     return descent_m + rise_rate(adaptive) * unseen_s

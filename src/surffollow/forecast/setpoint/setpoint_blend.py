@@ -9,6 +9,7 @@ from surffollow.forecast.plant import axis_model, controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
 from surffollow.forecast.sensing.health import missing_s
 from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest, path_speed
+from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
@@ -55,7 +56,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     margin = 1e-3 + max_slope * (abs(ahead_m) + abs(lead_m))
     unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
     steepest = slope_limit(adaptive.estimate.quick_slope_power)
-    if innovation_gate.is_slow(adaptive):
+    if is_slow(adaptive):
         # with 0 valleys cost 17 instead of 3 mm of clearance (bench_hazards.py, "valley and slow"), with 1 a
         # winch's error is 15 % greater (bench_scales.py)
         unseen_m, steepest = max(unseen_m, quantities.LEVEL_SHARE * ahead_m), math.inf
@@ -108,11 +109,12 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
     estimate, blend = adaptive.estimate, adaptive.blend
     dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS)
     turned = measurement.has_turned_back(adaptive)
-    ahead_m = ahead_m if turned else max(ahead_m - shadow_axes.uncompared_m(adaptive), 0.0)
     speed_mps = path_speed(kinematics)
     if is_at_rest(kinematics):
         since_s = (clock.now_ns - estimate.sample_ns) * 1e-9
         ahead_m = speed_mps * (since_s + controller_clock.mean_wait_s(params, adaptive.controller))
+    elif not turned:
+        ahead_m = max(ahead_m - shadow_axes.uncompared_m(adaptive), 0.0)
     lead_length_m = speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(speed_mps * dropout, max(ahead_m, 0.0))
@@ -123,17 +125,17 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
     # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre; where
     # the tool creeps, to the rate at which ground may move
-    creeps = 1.0 if innovation_gate.is_slow(adaptive) else max(GROUND_SPEED_MPS / abs(speed_mps), 1.0)
+    creeps = 1.0 if is_slow(adaptive) else max(GROUND_SPEED_MPS / abs(speed_mps), 1.0)
     max_slope = max(creeps * quantities.PLAUSIBLE_SLOPE, slope_limit(estimate.slope_power))
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     # a fall that samples have followed for so long, or over this travel, is no slot
     recent = estimate.accepted_ns - gate.step_ns < quantities.PAUSE_NS
     if dropout > 0.0 and gate.step_m < 0.0 and recent and gate.travel_since_step_m < params.step_travel_m:
         z -= gate.step_m
+    if blend.tracked_ns != estimate.accepted_ns:
+        blend.tracked_m, blend.tracked_ns = z, estimate.accepted_ns
     if dropout > 0.0 and estimate.samples > 1:
         z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)
-    else:
-        blend.tracked_m = z
     blend.setpoint_m, blend.rate_mps, blend.t_ns = z, slope * speed_mps, clock.now_ns
     return z
 
@@ -216,7 +218,7 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     if adaptive.kinematics.jump != JUMP_SEEN:
         return tool_z_m  # heights are in the frame before the jump
     dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS) > 0.0
-    few = estimate.samples < quantities.CONFIRMED_SAMPLES and dropout
+    few = estimate.samples < quantities.SETTLED_SAMPLES and dropout
     hardly_known = few or estimate.samples < quantities.CONFIRMATION_SAMPLES
     uncertain = stuck or hardly_known or nearer_wait(adaptive)
     no_descent = tool_z_m if uncertain else -math.inf

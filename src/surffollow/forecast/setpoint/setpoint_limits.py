@@ -9,7 +9,7 @@ ground, which may be a slot.
 
 import math
 
-from surffollow.forecast.quantities import CONFIRMED_SAMPLES, MAX_GAP_NS, PAUSE_NS
+from surffollow.forecast.quantities import MAX_GAP_NS, PAUSE_NS, SETTLED_SAMPLES
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import RUN_DRYRUN
 
@@ -131,20 +131,20 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
     may_be_slot = gate.step_m < 0.0 and gate.travel_since_step_m < 12.0 * params.step_travel_m
     gentle = e < 0.0 and (setpoint.approaching != 0 or may_be_slot)
     factor = params.toward_factor if gentle else 1.0
-    shortest_s = max(setpoint.min_interval_s, SHORT_CYCLE_S) if setpoint.min_interval_s > 0.0 else dt_s
     # setpoints much quicker than the axis add effort only; those of a plan are farther ahead of it, so that
     # it responds sooner
     ratio = 1.0 + 2.0 * adaptive.preview.share
     v_max = min(params.max_speed_mps, ratio * 2.0 * params.plant_v_max_mps)
     a_max = acceleration_limit(params, ratio)
     ahead_m, v, a = direction * e, direction * setpoint.velocity_mps, direction * setpoint.acceleration_mps2
-    v_max, a_max, next_s = factor * v_max, factor * a_max, min(dt_s, shortest_s)
+    v_max, a_max = factor * v_max, factor * a_max
+    next_s = min(dt_s, max(setpoint.min_interval_s, SHORT_CYCLE_S))
     accel = next_acceleration(ahead_m, v, a, dt_s, next_s, v_max, a_max, params.max_jerk_mps3)
     setpoint.acceleration_mps2 = direction * accel
     setpoint.velocity_mps += setpoint.acceleration_mps2 * dt_s
     setpoint.position_m += setpoint.velocity_mps * dt_s
     # on its target but for rounding
-    if abs(target_m - setpoint.position_m) < 1e-5 and adaptive.estimate.samples >= CONFIRMED_SAMPLES:
+    if abs(target_m - setpoint.position_m) < 1e-5 and adaptive.estimate.samples >= SETTLED_SAMPLES:
         setpoint.approaching = 0
 
 

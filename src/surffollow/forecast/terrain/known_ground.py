@@ -120,7 +120,7 @@ def lowest_plan(adaptive, sensed_m):
 
     It may descend by as much as a confirmed drop where two samples can contradict it in time.
     """
-    late = is_long(2.0 * adaptive.prediction.interval_s, adaptive.plant.tau_s)
+    late = is_long(2.0 * adaptive.hold.interval_s, adaptive.plant.tau_s)
     return sensed_m - MAX_UNCONFIRMED_DESCENT_M - (0.0 if late else adaptive.known.descent_m)
 
 

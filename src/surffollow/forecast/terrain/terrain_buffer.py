@@ -60,7 +60,7 @@ def _fill_cell(adaptive, s_m, h_m):
 @jit
 def usual_travel_m(adaptive):
     """Usual travel between two samples, as far as it is bridged [m]."""
-    return min(adaptive.kinematics.speed_mps * adaptive.prediction.interval_s, FILLED_CELLS * CELL_M)
+    return min(adaptive.kinematics.speed_mps * adaptive.hold.interval_s, FILLED_CELLS * CELL_M)
 
 
 @jit

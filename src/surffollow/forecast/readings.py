@@ -129,7 +129,7 @@ def take_conversions(params, sense, inputs):
 
 @jit_inlined
 def take_ranges(params, sense, inputs):
-    """Take distances that come ready-made (a CSV, an embedder), averaged like conversions.
+    """Take distances that come ready-made (a CSV, an embedder); the newest `sensor_readings` are averaged.
 
     NaN, or none given, is no reading in this step; a number on or outside the valid range is a loss.
     """
