@@ -26,7 +26,7 @@ from surffollow.shm.conversion import pack_conversion
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_estimation import CURVES, MEMORY_CELLS
-from surffollow.shm.layout_follow import RUN_FREEZE, SenseState
+from surffollow.shm.layout_follow import RUN_FREEZE, Inputs, SenseState
 
 from .feeding import MS, default_params, feed
 
@@ -409,6 +409,28 @@ def test_one_late_sample_among_those_without_a_delay_is_not_the_usual_one(delay_
         update_delay(a["latency"], found_s, found_s, 0.004)
         late += is_late(a)
     assert late == 0
+
+
+@pytest.mark.parametrize("averaged", [False, True])
+def test_ranges_that_are_averaged_may_be_older_and_conversions_may_not(averaged):
+    """GIVEN samples 27 ms later than at first THEN those of a converter are late, means of 7 ranges are not.
+
+    A service with the default of 7 tolerated 12 ms for an average that the demand does not use.
+    """
+    f, i = Follower({"memory": False, "sensor_readings": 7}, offset_m=0.1), zeros(Inputs)
+    f._params["scale_m"], f._params["zero_m"] = 0.1 / 4096, 0.05
+    for k in range(20):
+        t = 10**12 + 4 * k * MS
+        push_pose(f._state["sense"][0], t, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
+        i["t_ns"] = i["given_t_ns"] = t
+        i["n_ranges"], i["n_conversions"] = int(averaged), int(not averaged)
+        i["given_m"][0][0] = 0.1 + 1e-5 * (k % 3)
+        i["conversion"][0][0] = pack_conversion(2048 + k % 3, 0, 0, 0)
+        follow_step(f._params, f._state, i, f._output, f._scratch)
+    a = f._state["adaptive"][0]
+    assert a["hold"]["interval_s"] == pytest.approx(4e-3)
+    a["latency"]["mean_s"] = a["latency"]["first_s"] + 0.027  # the axis has 40 ms
+    assert is_late(a) != averaged
 
 
 @pytest.mark.parametrize("glitch_m", [0.0, 0.02])

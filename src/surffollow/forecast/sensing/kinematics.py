@@ -159,7 +159,7 @@ def update_kinematics(params, kinematics, sense, begins):
     begins : bool  there was no report before
     """
     newest, jumped = sense.pose_count - 1, False
-    first = newest if begins else min(max(kinematics.reports, newest - POSES // 2), newest)
+    first = newest if begins else min(max(kinematics.reports, newest - POSES + 3), newest)  # two before it
     for k in range(first, newest + 1):
         if not begins and note_jump(params, kinematics, sense, k):
             jumped = True
