@@ -419,16 +419,16 @@ def test_ranges_that_are_averaged_may_be_older_and_conversions_may_not(averaged)
     """
     f, i = Follower({"memory": False, "sensor_readings": 7}, offset_m=0.1), zeros(Inputs)
     f._params["scale_m"], f._params["zero_m"] = 0.1 / 4096, 0.05
-    for k in range(20):
+    for k in range(200):
         t = 10**12 + 4 * k * MS
         push_pose(f._state["sense"][0], t, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
         i["t_ns"] = i["given_t_ns"] = t
         i["n_ranges"], i["n_conversions"] = int(averaged), int(not averaged)
         i["given_m"][0][0] = 0.1 + 1e-5 * (k % 3)
-        i["conversion"][0][0] = pack_conversion(2048 + k % 3, 0, 0, 0)
+        i["conversion"][0][0] = pack_conversion(2048 + 10 * (k % 3), 0, 0, 0)
         follow_step(f._params, f._state, i, f._output, f._scratch)
     a = f._state["adaptive"][0]
-    assert a["hold"]["interval_s"] == pytest.approx(4e-3)
+    assert a["hold"]["interval_s"] == pytest.approx(4e-3, rel=0.02)
     a["latency"]["mean_s"] = a["latency"]["first_s"] + 0.027  # the axis has 40 ms
     assert is_late(a) != averaged
 
