@@ -117,6 +117,56 @@ def test_distances_that_lead_the_heights_are_refused_with_the_lead(noise_m: floa
         assert fit_latency(t, z(t), t, z(t + lead_s) + noise).latency_s == pytest.approx(0.0, abs=1e-3)
 
 
+MOVE_T_S = np.arange(0.0, 6.0, 0.01)
+RANDOM = np.random.default_rng(5)
+WAVES = [(RANDOM.uniform(0.1, 2.0), *RANDOM.normal(0.0, 1.0, 2)) for _ in range(12)]
+
+
+def height_m(t_s: np.ndarray) -> np.ndarray:
+    return 0.1 + 0.02 * np.sin(3.0 * t_s)
+
+
+def irregular_m(t_s: np.ndarray) -> np.ndarray:
+    return 0.1 + 0.004 * sum(a * np.sin(2.0 * np.pi * hz * t_s + p) for hz, a, p in WAVES)
+
+
+def of_unit(range_unit_m: float, height_unit_m: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    return height_m(MOVE_T_S) / height_unit_m, height_m(MOVE_T_S - 0.03) / range_unit_m
+
+
+STILL_M = np.full_like(MOVE_T_S, 0.1)
+JITTER_M = STILL_M + np.random.default_rng(0).normal(0.0, 1e-5, len(MOVE_T_S))
+NOISY_M = STILL_M + np.random.default_rng(1).normal(0.0, 1e-4, len(MOVE_T_S))
+
+
+@pytest.mark.parametrize(
+    ("z_m", "range_m", "says"),
+    [
+        (STILL_M, STILL_M, "all z_m are 0.1 m, a move of 0 mm; move up and down by some millimetres"),
+        (STILL_M, NOISY_M, r"a move of 0 mm; .* at least by (1\.\d|2\.\d)\d* mm, 20 times the noise"),
+        (JITTER_M, NOISY_M, r"do not follow z_m, which moves by 0\.0\d+ mm: .* at least by"),
+        (height_m(MOVE_T_S), STILL_M, "distances are 0.1 m, while z_m moves by 40 mm: the sensor is stuck"),
+        (height_m(MOVE_T_S), height_m(MOVE_T_S - 0.6), "latency is beyond 500 ms.*move the distances up"),
+        (irregular_m(MOVE_T_S), irregular_m(MOVE_T_S - 1.0), "follow.*that the latency is below 500 ms"),
+        (*of_unit(1e-3), "range_m changes 1000 times .* range_m in mm; convert both columns to metres"),
+        (*of_unit(0.0254), "range_m changes 39.37 times .* range_m in inch"),
+        (*of_unit(0.3048), "range_m changes 3.281 times .* range_m in ft"),
+        (*of_unit(1.0, 0.0254), "range_m changes 0.0254 times .* z_m in inch"),
+        (*of_unit(0.005), "range_m changes 200 times .* scale is wrong.*calibrate range"),
+        (np.where(MOVE_T_S == 3.0, np.nan, height_m(MOVE_T_S)), STILL_M, "z_m of row 301 is nan"),
+    ],
+)
+def test_a_move_without_a_latency_is_refused_with_the_fault_and_nothing_is_written(
+    tmp_path: Path, z_m: np.ndarray, range_m: np.ndarray, says: str
+) -> None:
+    file, out = tmp_path / "move.csv", tmp_path / "laser.json"
+    rows = "".join(f"{t},{z},{r}\n" for t, z, r in zip(MOVE_T_S, z_m, range_m))
+    file.write_text(f"t_s,z_m,range_m\n{rows}")
+    with pytest.raises(ConfigError, match=says):  # exit code 2
+        run("latency", file, "--out", out)
+    assert not out.exists()
+
+
 def over_a_plate(tilt_x: float, tilt_y: float, n: int, apart_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
     """Poses over a level plate, tilted at random; what a sensor at (10, 20, 0) mm reads."""
     from scipy.spatial.transform import Rotation

@@ -136,7 +136,7 @@ def test_a_damaged_text_file_is_refused_with_its_line(tmp_path):
     with pytest.raises(MapFileError, match="cannot read"):
         HeightMap.load(tmp_path / "absent.txt")
     (tmp_path / "m.npz").write_bytes(b"PK\x03\x04 no archive")
-    with pytest.raises(MapFileError, match="cannot read"):
+    with pytest.raises(MapFileError, match="is damaged"):
         HeightMap.load(tmp_path / "m.npz")
 
 

@@ -137,6 +137,20 @@ def test_archives_whose_arrays_do_not_fit_are_refused(tmp_path, change):
         HeightMap.load(tmp_path / "odd.npz")
 
 
+def test_a_foreign_or_damaged_archive_is_refused_without_advice_to_load_it_unsafely(tmp_path):
+    path = tmp_path / "odd.npz"
+    small().save(path)
+    cut = path.read_bytes()[:150]
+    np.savez(path, format=np.array([{}], dtype=object))
+    for content in (bytes(range(128, 256)), b"", cut, path.read_bytes()):
+        path.write_bytes(content)
+        with pytest.raises(MapFileError, match="or is damaged; write the map again") as refused:
+            HeightMap.load(path)
+        assert "pickle" not in str(refused.value)
+    with pytest.raises(MapFileError, match="No such file"):
+        HeightMap.load(tmp_path / "none.npz")
+
+
 def test_an_array_file_named_as_an_archive_is_refused(tmp_path):
     with open(tmp_path / "array.npz", "wb") as f:
         np.save(f, np.zeros(3))
@@ -168,6 +182,14 @@ def test_a_raster_with_impossible_numbers_is_refused(tmp_path, head):
     path = tmp_path / "odd.asc"
     path.write_text("".join(f"{k} {v}\n" for k, v in lines.items()) + "1 2\n")
     with pytest.raises(MapFileError, match=r"odd\.asc"):
+        HeightMap.load(path)
+
+
+@pytest.mark.parametrize("size", ["-1", "0", "nan", "inf"])
+def test_a_raster_whose_cell_size_is_not_positive_is_refused_for_it(tmp_path, size):
+    path = tmp_path / "odd.asc"
+    path.write_text(f"ncols 2\nnrows 1\nxllcorner 0\nyllcorner 0\ncellsize {size}\n1 2\n")
+    with pytest.raises(MapFileError, match=f"cellsize {size}; correct it: a cell size is positive"):
         HeightMap.load(path)
 
 

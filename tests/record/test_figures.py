@@ -337,6 +337,14 @@ def test_outliers_are_found_and_steps_are_not() -> None:
     assert np.flatnonzero(outliers(values)).tolist() == [50, 200]
 
 
+@pytest.mark.parametrize("times", [1, 2, 3, 4])
+def test_rows_that_are_repeated_make_no_outliers_of_others(times: int) -> None:
+    values = 1.0 + 0.1 * np.sin(0.05 * np.arange(600))
+    assert not outliers(np.repeat(values, times)).any()
+    values[[77, 300]] += 0.5
+    assert np.unique(np.flatnonzero(outliers(np.repeat(values, times))) // times).tolist() == [77, 300]
+
+
 def test_a_span_narrower_than_a_pixel_is_seen() -> None:
     # GIVEN a gap of a second in three hours, WHEN it is shaded
     drawing = figure.Figure(figsize=(4.0, 1.0), dpi=100)

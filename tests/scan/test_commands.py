@@ -164,6 +164,10 @@ def test_a_damaged_image_is_refused_wherever_the_damage_is(survey, tmp_path):
         except ScanFileError as error:
             refused += str(image) in str(error)
     assert refused > 100
+    # AND NumPy's advice to load foreign bytes unsafely is not passed on
+    image.write_bytes(bytes(range(128, 256)))
+    with pytest.raises(ScanFileError, match=r"it is damaged, or no NPZ file of numbers; write it again$"):
+        read_images([image], survey / "cameras.toml")
     # AND the command ends with an error that is one JSON object
     middle = len(sound) // 2
     image.write_bytes(sound[:middle] + b"damaged" + sound[middle + 7 :])

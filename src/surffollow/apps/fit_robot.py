@@ -11,13 +11,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.apps.lag_search import LONGEST_S, RESOLVED, SIGMAS, find_minima
+from surffollow.apps.lag_search import LONGEST_S, RESOLVED, SIGMAS, find_minima, residual_variance
 
 GRID_S = 0.01  # between the lags tried first
 FEWEST = 30  # readings of a fit
 MOST = 4000  # readings that are fitted, evenly taken from all
 LAG_SIGMA_S = 0.01  # a lag that is less certain is not identified
-GREATEST_CORRELATION = 0.995  # of a residual with the next: more is drift, which the fit cannot average
 GAP_S, GAPS = 0.25, 4.0  # no height is interpolated over more than this and so many usual intervals
 
 Floats = NDArray[np.float64]
@@ -170,11 +169,7 @@ def fit_gain(
     columns = regression.columns(lag)
     later, sooner = regression.columns(lag + step), regression.columns(lag - step)
     slope = gain * (later[:, 0] - sooner[:, 0]) / (2.0 * step)
-    before, after = residual[:-1], residual[1:]
-    power = float(np.sqrt((before @ before) * (after @ after)))
-    rho = min(max(float(before @ after) / power, 0.0), GREATEST_CORRELATION) if power > 0.0 else 0.0
-    correlated = (1.0 + rho) / (1.0 - rho)
-    variance = correlated * cost / max(n - 3, 1)
+    variance = residual_variance(residual, n - 3)
     gain_sigma, lag_sigma = _sigmas(columns, slope, variance)
     change = range_m[known] - range_m[known].mean()
     total = float(change @ change)

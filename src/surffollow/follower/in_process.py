@@ -283,6 +283,12 @@ class Follower:
         ------
         UsageError
             the time is no finite number
+
+        Notes
+        -----
+        It is made for horizons of several sample intervals and at least 3 τ of the axis (0.12 s by default);
+        below, and where the range swings within 75 τ (3 s), the newest range of a quick sensor with little
+        noise is often the better forecast.
         """
         horizon = real_number(horizon_s, "horizon_s")
         if not math.isfinite(horizon):

@@ -136,9 +136,12 @@ def outliers(values: NDArray[np.float64]) -> NDArray[np.bool_]:
         return found
     off = values[has] - median_filter(values[has], NEIGHBOURS, mode="nearest")
     sigma = 1.4826 * float(np.median(np.abs(off)))
-    # a sensor of coarse steps scatters by nothing at all most of the time
+    # a sensor of coarse steps scatters by nothing at all most of the time, and rows may repeat a value
     steps = np.abs(np.diff(values[has]))
-    sigma = max(sigma, float(np.median(steps)), float(np.percentile(np.abs(off), 90)) / 1.645, 1e-9)
+    window = NEIGHBOURS - 1
+    mean_steps = np.abs(values[has][window:] - values[has][:-window]) / window
+    usual = max(float(np.median(steps)), float(np.median(mean_steps)))
+    sigma = max(sigma, usual, float(np.percentile(np.abs(off), 90)) / 1.645, 1e-9)
     found[has] = np.abs(off) > OUTLIER_SIGMAS * sigma
     return found
 

@@ -122,7 +122,10 @@ def _npz(path: Path) -> tuple[Floats, str]:
                     return _real(data[key], path, key), kind
             names = list(data)
     except DAMAGED_ARCHIVE as e:
-        raise ScanFileError(f"cannot read {path}: {e}; it is damaged, or no NPZ file") from e
+        reason = getattr(e, "strerror", None)  # NumPy's texts advise to load foreign bytes unsafely
+        raise ScanFileError(
+            f"cannot read {path}: {reason or 'it is damaged, or no NPZ file of numbers; write it again'}"
+        ) from None
     raise ScanFileError(f"{path} holds {', '.join(names) or 'nothing'}; expected depth_m or disparity_px")
 
 

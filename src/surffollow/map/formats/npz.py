@@ -67,13 +67,18 @@ def _settle(header: NDArray[Any], known: bool) -> None:
 
 
 def read_npz(path: FilePath) -> tuple[NDArray[Any], NDArray[Any]]:
+    not_ours = (
+        f"{path} is not a map archive of this version ({_FORMAT}), or is damaged; write the map again, with "
+        "surffollow map export or HeightMap.save"
+    )
     try:
         with np.load(path, allow_pickle=False) as data:
             if "format" not in data or str(data["format"]) != _FORMAT:
-                raise MapFileError(f"{path} is not a map archive of this version ({_FORMAT})")
+                raise MapFileError(not_ours)
             raw, heights, counts = data["header"], data["quanta"], data["counts"]
-    except DAMAGED_ARCHIVE as e:
-        raise MapFileError(f"cannot read {path}: {getattr(e, 'strerror', None) or e}") from e
+    except DAMAGED_ARCHIVE as e:  # NumPy's texts advise to load foreign bytes unsafely
+        reason = getattr(e, "strerror", None)
+        raise MapFileError(f"cannot read {path}: {reason}" if reason else not_ours) from None
     kinds = (raw.dtype, heights.dtype, counts.dtype)
     if (
         kinds != (np.uint8, np.int16, np.uint8)

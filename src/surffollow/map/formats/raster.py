@@ -87,10 +87,14 @@ def read_esri_ascii(path: FilePath) -> Raster:
     missing = [k for k in ("ncols", "nrows", "cellsize") if k not in head]
     if missing:
         raise MapFileError(f"{path} is not an ESRI ASCII grid: it lacks {', '.join(missing)}")
+    if not 0.0 < head["cellsize"] < math.inf:
+        raise MapFileError(
+            f"{path} has the cellsize {head['cellsize']:g}; correct it: a cell size is positive, in metres"
+        )
     if not all(math.isfinite(v) for k, v in head.items() if k != "nodata_value"):
         raise MapFileError(f"{path} is not an ESRI ASCII grid: its header has numbers that are not finite")
     nx, ny, grid = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
-    if nx < 1 or ny < 1 or values.size != nx * ny or not 0 < grid < math.inf:
+    if nx < 1 or ny < 1 or values.size != nx * ny:
         raise MapFileError(f"{path} has {values.size} values for {nx} × {ny} cells of {grid} m")
     corner = []
     for axis in "xy":
