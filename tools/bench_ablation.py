@@ -89,7 +89,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "noise of a longer path": [
         (
             "estimate",
-            "stretch = 1.0 if innovation_gate.is_slow(adaptive) else moved_m / way",
+            "stretch = 1.0 if is_slow(adaptive) else moved_m / way",
             "stretch = 1.0",
         )
     ],
@@ -128,7 +128,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "limits behind a fall": [("setpoint_limits", "factor = params.toward_factor if", "factor = 1.0 if")],
     "two samples of slow sensors": [
         ("pending_samples", "late = is_long(needed * interval_s, tau_s)", "late = False"),
-        ("innovation_gate", "return is_long(adaptive.hold.interval_s", "return is_long(0.0"),
+        ("sample_hold", "return is_long(adaptive.hold.interval_s", "return is_long(0.0"),
     ],
     "learned waiting time": [
         (
@@ -173,7 +173,8 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "more samples in a burst": [("pending_samples", "int(0.25 * tau_s", "int(0.0 * tau_s")],
     "wider gate of sparse samples": [
-        ("innovation_gate", "return PLAUSIBLE_SLOPE * travel_m", "return 0.0 * travel_m")
+        ("innovation_gate", "adaptive), PLAUSIBLE_SLOPE * travel_m\n", "adaptive), 0.0 * travel_m\n"),
+        ("innovation_gate", "adaptive), PLAUSIBLE_SLOPE * travel_m)", "adaptive), 0.0 * travel_m)"),
     ],
     "wrong samples taken back": [("earlier_bank", "1 if is_slow(adaptive) else 0", "0")],
     "confirmed drops of known ground": [
