@@ -60,10 +60,14 @@ static void take_conversions(const Params *p, SenseState *s, const Inputs *in) {
     if (c >= p->n_channels) continue;
     int64_t counts = ((word & 0xFFFFFF) ^ 0x800000) - 0x800000;
     double range = p->zero_m[c] + p->scale_m[c] * (double)counts;
-    if (((word >> 27) & 1) || !(p->range_min_m < range && range < p->range_max_m))
+    if ((word >> 27) & 1) {
       lose_channel(s, c);
-    else
+    } else if (p->range_min_m < range && range < p->range_max_m) {
       push_sample(p, s, c, in->t_ns + (word >> 32), range);
+    } else {
+      lose_channel(s, c);
+      s->outside += c == 0;
+    }
   }
   int64_t readings = p->sensor_readings;
   for (int64_t c = 0; c < p->n_channels; c++) {
