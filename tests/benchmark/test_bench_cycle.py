@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-from bench_cycle import SKIP, measure  # noqa: E402
+from bench_cycle import SKIP, measure
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
