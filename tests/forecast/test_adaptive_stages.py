@@ -470,3 +470,13 @@ def test_the_usual_interval_is_not_that_of_a_loss(gap_s):
         record_sample(hold, 10**9 + k * 4 * MS, 0.1)
     record_sample(hold, 10**9 + 796 * MS + round(gap_s * 1e9), 0.1)
     assert 4e-3 <= hold["interval_s"] < 5e-3
+
+
+def test_a_pause_behind_the_first_sample_is_no_interval():
+    """GIVEN a sample, a pause of 6 s and a sample 4 ms later THEN the interval is 4 ms."""
+    hold = zeros(AdaptiveState)[0]["hold"]
+    record_sample(hold, 10**9, 0.1)
+    record_sample(hold, 7 * 10**9, 0.1)
+    assert hold["interval_s"] == 0.0
+    record_sample(hold, 7 * 10**9 + 4 * MS, 0.1)
+    assert hold["interval_s"] == pytest.approx(4e-3)

@@ -152,3 +152,12 @@ def test_a_value_that_the_sensor_holds_is_one_range():
         observe_range(params, state, forecast)
         seen.append(int(forecast[0]["seen_ns"]) // MS)
     assert seen == [1000, 1000, 1020, 1020, 1070]
+
+
+def test_behind_a_pause_the_first_range_counts_at_once():
+    """GIVEN ranges of 2 m WHEN there are none for 10 s THEN one of 8 m is no outlier."""
+    forecast = zeros(RangeForecast)[0]
+    for t_ns, range_m in [(10**9 + k * 100 * MS, 2.0 + 1e-3 * (k % 3)) for k in range(100)]:
+        update_forecast(default_params(), forecast, t_ns, range_m)
+    update_forecast(default_params(), forecast, t_ns + 10 * 10**9, 8.0)
+    assert predict_range(forecast, 0.0) == 8.0

@@ -10,6 +10,11 @@ import pytest
 
 from surffollow import Follower
 from surffollow.benchmark.job_loop import BOOM, CELL, Job, follow
+from surffollow.forecast.sensing.health import is_outside
+from surffollow.shm.dtypes import zeros
+from surffollow.shm.layout_adaptive import AdaptiveState
+
+from .feeding import default_params
 
 MS = 1_000_000
 AUV = Job(5.0, 2.0, 1.0, 0.2, 0.5, 0.3, 0.01, (0.5, 40.0))
@@ -110,3 +115,24 @@ def test_health_is_not_stuck_while_the_demand_leads_toward_the_surface(job):
     assert not stuck[-1]
     descends = np.diff(run.clearance_m) < -1e-6 * job.standoff_m
     assert not (descends & stuck[1:]).any()
+
+
+@pytest.mark.parametrize(
+    ("range_m", "climb_mps", "slope", "outside"),
+    [
+        (0.14, 0.0, 0.0, False),  # of a window of 50 to 152 mm, with samples every 0.1 s
+        (0.14, 0.1, 0.0, True),  # the tool rises out of it
+        (0.14, -0.1, 0.0, False),
+        (0.14, 0.0, -0.2, True),  # the ground falls out of it
+        (0.06, -0.1, 0.0, True),
+        (0.06, 0.0, 0.2, True),
+        (0.06, 0.0, 0.0, False),
+        (0.151, 0.0, 0.0, True),  # at its end
+    ],
+)
+def test_a_range_leaves_the_window_by_the_climb_of_the_tool_and_the_slope(range_m, climb_mps, slope, outside):
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    a["hold"]["range_m"], a["hold"]["interval_s"] = range_m, 0.1
+    a["kinematics"]["climb_mps"], a["kinematics"]["speed_mps"] = climb_mps, 0.5
+    a["estimate"]["slope"] = slope
+    assert is_outside(params, a) == outside
