@@ -168,7 +168,7 @@ def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shar
             seen = []
 
             def lifted():
-                offset.command(0.0, 0.0, 0.02, 0.0, 0.0, 0.0, ref_t_ns=1, ref_pose=other)
+                offset.command(*(0.0, 0.0, 0.02, 0.0, 0.0, 0.0), ref_t_ns=time.monotonic_ns(), ref_pose=other)
                 demand = robot.dev_vector()
                 if demand.valid and abs(demand[2] - alone) > 0.005:
                     seen.append(demand[2])

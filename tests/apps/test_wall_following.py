@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from running_service import begin_command, run_command
+from surffollow.apps import wall_following
 from surffollow.apps.base_process import run_base
 from surffollow.apps.wall_clients import Avoid, make_clients
 from surffollow.apps.wall_figures import Run, figures
@@ -103,6 +104,13 @@ def test_short_runs_tell_what_they_can_and_how_long_walls_were_touched():
     assert "contacts of" in out.stdout
     assert "heading repeatability only from two laps on" in out.stdout
     assert "-°" not in out.stdout
+    assert "0.95 laps" in out.stdout
+    assert out.stdout.endswith("; lap 1 counts as done 20° before its end\n")
+
+
+def test_a_run_whose_time_is_over_says_so(monkeypatch):
+    monkeypatch.setattr(wall_following, "MAX_S", 3.0)
+    assert run_experiment("paper", laps=1).ended == "the time of 3 s was over before lap 1 was done"
 
 
 @pytest.mark.parametrize(

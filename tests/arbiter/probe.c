@@ -15,6 +15,7 @@ int main(int argc, char **argv) {
   printf("three %d\n", sfa_command(&a, robot, two, 3));
   printf("nowhere %d %d %d %d %d\n", sfa_command(&a, -22, two, 2), sfa_held(&a, -22) != 0, sfa_asked(&a, 99),
          sfa_status(&a, -1, &status), sfa_relinquish(&a, 99));
+  printf("undated %d\n", sfa_command_at(&a, robot, two, 2, 0, pose));
   for (k = 0; k < 2 * SFA_MAILBOX_ITEMS; k++) /* every place of the mailbox: with a pose, then without */
     while (sfa_command_at(&a, robot, two, 2, 7, k < SFA_MAILBOX_ITEMS ? pose : NULL) != 1)
       sf_sleep_until_ns(sf_now_ns() + 1000000);

@@ -210,6 +210,8 @@ def test_a_reader_that_waits_for_a_resource_that_never_comes_says_so(make_arbite
         ((0.1, 0.0), {"ref_t_ns": 1.5}, "ref_t_ns must be a whole number"),
         ((0.1, 0.0), {"ref_t_ns": 1, "ref_pose": (0.0,) * 6}, "ref_pose is seven numbers"),
         ((0.1, 0.0), {"ref_t_ns": 1, "ref_pose": "1000000"}, "ref_pose is seven numbers"),
+        ((0.1, 0.0), {"ref_pose": (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)}, "ref_pose needs ref_t_ns"),
+        ((0.1, 0.0), {"ref_pose": (0, 0)}, "ref_pose needs ref_t_ns"),
     ],
 )
 def test_a_command_that_is_no_number_is_refused_and_its_argument_named(attach_client, values, options, says):

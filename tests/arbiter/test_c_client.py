@@ -85,6 +85,7 @@ def test_the_header_answers_what_a_client_does_wrong(make_arbiter, tmp_path, lan
                 "one": [-errno.EINVAL],
                 "three": [-errno.EINVAL],
                 "nowhere": [-errno.EINVAL, 0, 0, 0, -errno.EINVAL],
+                "undated": [-errno.EINVAL],
                 "left": [0],
                 "ready": [],
             }

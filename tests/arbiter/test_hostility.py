@@ -88,21 +88,22 @@ def test_no_number_that_is_none_leaves_the_server_whatever_finite_ones_come_in(s
     ]
     with command_reader(summed.name, "tool") as tool, command_reader(summed.name, "free") as free:
         for k, pose in enumerate(poses * 8):
-            p.command(*six, ref_t_ns=1, ref_pose=POSE)
-            q.command(*six, ref_t_ns=2 + k, ref_pose=pose)
+            now = time.monotonic_ns()
+            p.command(*six, ref_t_ns=now, ref_pose=POSE)
+            q.command(*six, ref_t_ns=now - 1 - k, ref_pose=pose)
             u.command((1e308, -1e308)[k % 2])
             v.command((1e308, -1e308)[k // 2 % 2])
             until(lambda: all(e.mailbox_words[HEAD] == e.words[e.consumed] for e in (a.exchange, b.exchange)))
             for reader in (tool, free):
                 c = reader.latest()
                 assert all(math.isfinite(x) for x in c.values), (pose, c)
-        assert len([e for e in history if e.event == "REJECT_BAD"]) == 24
+        assert len([e for e in history if e.event == "REJECT_BAD"]) == 40
         until(lambda: u.command(1e308) and v.command(1e308) and free.latest().safe)
         until(lambda: u.command(1.0) and v.command(2.0) and free.latest().values == (3.0,))
         until(
             lambda: (
-                p.command(*six, ref_t_ns=1, ref_pose=POSE)
-                and q.command(*six, ref_t_ns=2, ref_pose=POSE)
+                p.command(*six, ref_t_ns=time.monotonic_ns(), ref_pose=POSE)
+                and q.command(*six, ref_t_ns=time.monotonic_ns(), ref_pose=POSE)
                 and tool.latest().values == pytest.approx((0.1,) * 6)
             )
         )
@@ -111,10 +112,11 @@ def test_no_number_that_is_none_leaves_the_server_whatever_finite_ones_come_in(s
 def test_a_pose_that_is_no_unit_quaternion_is_rejected(both):
     a, _ = both
     p, history = held(a, "p"), a.history()
+    now = time.monotonic_ns()
     for pose in ((*POSE[:6], 2.0), (math.inf, *POSE[1:]), (1.0,) * 7):
-        assert p.command(*(0.0,) * 6, ref_t_ns=1, ref_pose=pose)
-    assert p.command(*(0.0,) * 6, ref_t_ns=1, ref_pose=POSE)
-    assert p.command(*(0.0,) * 6, ref_t_ns=1)
+        assert p.command(*(0.0,) * 6, ref_t_ns=now, ref_pose=pose)
+    assert p.command(*(0.0,) * 6, ref_t_ns=now, ref_pose=POSE)
+    assert p.command(*(0.0,) * 6, ref_t_ns=now)
     events = []
     until(lambda: events.extend(e.event for e in history if e.item) or len(events) >= 5)
     assert events == ["REJECT_BAD"] * 3 + ["FORWARD"] * 2

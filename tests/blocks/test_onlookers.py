@@ -54,6 +54,27 @@ def test_a_schema_survives_its_own_text():
             schema_from_text(text)
 
 
+class Odd(Block):
+    """Its unit and doc would end a comment, or a line."""
+
+    x = I8(unit="m */ int y;", doc="a\nb\x1b[2J */")
+
+
+def test_units_and_docs_end_no_comment_and_no_line(space):
+    text = c_header(Odd)
+    (member,) = [line for line in text.splitlines() if "int8_t x;" in line]
+    assert member.count("*/") == 1
+    assert member.endswith("*/")
+    assert member.count("/*") == 1
+    assert "\x1b" not in text
+    with mem_attach(Odd, space, write=True) as mem:
+        with mem.odd.write() as slot:
+            slot.x = 1
+        shown = run("show", f"{space}.odd")
+    (line,) = [line for line in shown.splitlines() if "x [" in line]
+    assert line.endswith(r"= 1    a\nb\x1b[2J */")
+
+
 def test_ls_names_every_block_its_writer_and_its_age(space, platform):
     mine = [b for b in json.loads(run("ls", "--json")) if b["name"].startswith(space)]
     assert len(mine) == 1

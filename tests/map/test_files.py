@@ -283,6 +283,18 @@ def test_reading_and_writing_text_loads_no_numba():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.parametrize("more", [[], ["--counts"]])
+def test_show_says_that_a_map_knows_nothing(tmp_path, more):
+    m = HeightMap.over((0.0, 0.0, 0.5, 0.5), grids=1000)
+    m.save(tmp_path / "m.txt")
+    shown = CliRunner().invoke(map_group, ["show", str(tmp_path / "m.txt"), *more])
+    ny, nx = m.shape
+    assert (shown.exit_code, shown.output) == (
+        0,
+        f"nothing is known: none of {nx} × {ny} grids has a height\n",
+    )
+
+
 def test_map_commands_work_on_files(tmp_path):
     run = CliRunner()
     m = sampled()

@@ -25,6 +25,12 @@ class Axis(Schema):
     home = U8()
 
 
+class Stamp(Schema):
+    """A time."""
+
+    t_ns = I64()
+
+
 class Joystick(Block):
     """All kinds of fields."""
 
@@ -75,6 +81,33 @@ def test_publications_are_read_back_by_a_public_reader_and_as_a_table(tmp_path: 
     row = dict(zip(rows[0], rows[4]))
     assert (row["deadman"], row["axes0"], row["name"], row["parts1_value"]) == ("-3", "1.5", "n3", "10.0")
     assert done.rows == 10
+
+
+class Colliding(Block):
+    """Columns of one name: q[0] and q0, part.value and part_value, when.t_ns and the publication's time."""
+
+    q = F64(2)
+    q0 = F64()
+    part = Nested(Axis)
+    part_value = F64()
+    block = Nested(Stamp)
+
+
+def test_columns_of_one_name_get_names_of_their_own(tmp_path: Path) -> None:
+    path, cell = tmp_path / "blocks.mcap", f"col{os.getpid()}"
+    with mem_attach(Colliding, cell, write=True) as mem:
+        with mem.colliding.write() as slot:
+            slot.q, slot.q0, slot.part.value, slot.part_value, slot.block.t_ns = [1.0, 2.0], 3.0, 4.0, 5.0, 6
+        stop = threading.Event()
+        stop.set()
+        record_blocks([f"{cell}.colliding"], path, stop)
+    [table] = convert([path], "csv").files
+    names, values = (line.split(",") for line in Path(table).read_text().splitlines())
+    row = dict(zip(names, values))
+    assert len(row) == len(names) == len(values)
+    found = {n: row[n] for n in ("q[0]", "q1", "q0", "part.value", "part_home", "part_value", "block.t_ns")}
+    assert list(found.values()) == ["1.0", "2.0", "3.0", "4.0", "0", "5.0", "6"]
+    assert int(row["block_t_ns"]) > 1_000_000
 
 
 def test_a_cut_recording_of_blocks_is_recovered(tmp_path: Path) -> None:

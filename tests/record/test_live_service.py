@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -14,12 +17,15 @@ import numpy as np
 import pytest
 
 from running_service import Service, until
-from surffollow.errors import NotReadyError, NotRunningError, RecordingError
+from surffollow.errors import FaultError, NotReadyError, NotRunningError, RecordingError
+from surffollow.record import channel_feed
 from surffollow.record.live_replay import LiveReport, play_live
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorded_inputs import load_recorded_inputs
+from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
 from surffollow.record.replay_service import LEAD_NS, driver_info
+from surffollow.record.service_log import ServiceLog
 from surffollow.record.session import record_service
 from surffollow.shm.name_lock import holder
 
@@ -121,6 +127,48 @@ def test_a_recorder_whose_terminal_is_closed_completes_its_file(bare: Service, t
     # THEN the file has its end
     assert recorder.returncode == 0
     assert replay_file(out).identical
+
+
+class FullDisk(io.BytesIO):
+    """A file that takes a megabyte."""
+
+    def write(self, data: bytes) -> int:  # type: ignore[override]
+        if self.tell() + len(data) > 1_000_000:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(data)
+
+
+def test_a_disk_that_is_full_is_reported_when_counters_of_the_service_are_written(
+    bare: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was taken for a service that goes away; the next write was to a closed file, with a traceback."""
+    monkeypatch.setattr(channel_feed, "SERVICE_S", 0.0)
+    bare.start()
+    log = ServiceLog(bare.name)
+    feed = channel_feed.ChannelFeed(RecordingWriter(tmp_path / "a.mcap", stream=FullDisk()), 10_000_000, log)
+
+    def work_on() -> None:
+        for _ in range(100_000):
+            feed.work()
+
+    try:
+        with pytest.raises(FaultError, match=r"the disk is full; it is readable up to there"):
+            work_on()
+    finally:
+        feed.close()
+        log.close()
+
+
+def test_a_service_behind_sigstop_stands_still(bare: Service) -> None:
+    bare.start()
+    log = ServiceLog(bare.name)
+    try:
+        assert not log.stands_still()
+        bare.freeze()
+        until(log.stands_still)
+        assert log.alive()
+    finally:
+        log.close()
 
 
 def test_recording_without_a_service_is_refused_and_makes_no_file(bare: Service, tmp_path: Path) -> None:

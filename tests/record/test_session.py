@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import signal
 import threading
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from surffollow.cli.record import record_command
 from surffollow.record import session
 from surffollow.record.synthetic_log import SyntheticLog
 
@@ -27,9 +31,9 @@ class Clock:
 class Late(SyntheticLog):
     """A service's log that stays empty for a while, as to a recorder that compiles its kernels first."""
 
-    def __init__(self, empty_looks: int, lives: bool) -> None:
+    def __init__(self, empty_looks: int, lives: bool, still: bool = False) -> None:
         super().__init__(snapshot_cycles=50)
-        self.looks, self.empty_looks, self.running = 0, empty_looks, lives
+        self.looks, self.empty_looks, self.running, self.still = 0, empty_looks, lives, still
 
     def about(self) -> dict[str, str]:
         return {"name": "late", "period_ns": "1000000"}
@@ -39,6 +43,9 @@ class Late(SyntheticLog):
         if self.looks > self.empty_looks:
             self.run(100)
         return self.running
+
+    def stands_still(self) -> bool:
+        return self.still
 
     def close(self) -> None:
         pass
@@ -75,3 +82,26 @@ def test_a_dead_service_is_not_waited_for_beyond_the_seconds(
     log = Late(10**9, lives=False)
     assert recorded(monkeypatch, tmp_path / "run.mcap", log) == 0
     assert log.looks < 30
+
+
+def test_a_service_that_stands_still_is_not_waited_for_beyond_the_seconds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: Clock
+) -> None:
+    """Behind SIGSTOP it counts as alive: the recording never ended."""
+    log = Late(1000, lives=True, still=True)
+    assert recorded(monkeypatch, tmp_path / "run.mcap", log) == 0
+    assert log.looks < 30
+
+
+def test_a_recording_without_a_cycle_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "record_service", lambda *_, **__: session.Recorded(files=["run.mcap"]))
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        done = CliRunner().invoke(record_command, ["--name", "still", "--seconds", "4", "--json"])
+    finally:
+        signal.set_wakeup_fd(-1)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert done.exit_code == 0, done.output
+    assert "no cycle was recorded: service 'still' ran none" in done.stderr
+    assert json.loads(done.stdout)["cycles"] == 0

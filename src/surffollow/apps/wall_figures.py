@@ -21,6 +21,7 @@ class Run:
     holder : (n,) ndarray     index into `names`; −1: none
     turns : list of (begin, end)    indices between which follow-wall held the base
     laps : float
+    ended : str               why a run in simulated time ended
     """
 
     names: list[str]
@@ -31,6 +32,7 @@ class Run:
     gap_m: NDArray[np.float64]
     holder: NDArray[np.int64]
     turns: list[tuple[int, int]] = field(default_factory=list)
+    ended: str = ""
 
     @property
     def laps(self) -> float:

@@ -36,6 +36,7 @@ from surffollow.sonar.ring import SonarRing
 EXPERIMENTS = ("paper", "1", "1-pair", "2")
 TICK_S = 0.02
 MAX_S = 2000.0
+SHORT_OF_DEG = 20.0  # of the last turn: a run ends so much before the lap does
 
 
 def ring_of(config: BaseConfig) -> SonarRing:
@@ -107,7 +108,7 @@ class Arbitration:
 
 
 def run_experiment(experiment: str, *, laps: int = 4, seed: int = 1, config: BaseConfig | None = None) -> Run:
-    """Run one experiment in simulated time until the base has turned `laps` times about.
+    """Run one experiment in simulated time until the base has turned `laps` times about, less SHORT_OF_DEG.
 
     Parameters
     ----------
@@ -134,7 +135,7 @@ def run_experiment(experiment: str, *, laps: int = 4, seed: int = 1, config: Bas
     rows: list[tuple[float, float, float, float, float, int]] = []
     base.run(0.15)  # one round of the ring
     goal = start[2] + 2.0 * math.pi * laps
-    while base.state[HEADING] < goal - math.radians(20) and base.time_s < MAX_S:
+    while base.state[HEADING] < goal - math.radians(SHORT_OF_DEG) and base.time_s < MAX_S:
         tick(base, clients, arbitration)
         base.run(base.time_s + TICK_S)
         s = base.state
@@ -145,6 +146,12 @@ def run_experiment(experiment: str, *, laps: int = 4, seed: int = 1, config: Bas
     time_s, x_m, y_m, heading_rad, gap_m, holder = (np.array(c) for c in columns)
     run = Run([c.name for c in clients], time_s, x_m, y_m, heading_rad, gap_m, holder)
     run.turns = find_turns(run)
+    short = base.state[HEADING] < goal - math.radians(SHORT_OF_DEG)
+    run.ended = (
+        f"the time of {MAX_S:.0f} s was over before lap {laps} was done"
+        if short
+        else f"lap {laps} counts as done {SHORT_OF_DEG:.0f}° before its end"
+    )
     return run
 
 

@@ -2,7 +2,8 @@
 
 The first part that is held and relative to a pose gives the pose; the others are converted to it. The
 sum is valid only while every part that is held is, every part that is required is held, and no part is lost:
-without the lift of a client that died, the rest would lead the tool down.
+without the lift of a client that died, the rest would lead the tool down. A converted part counts within its
+own limits. Poses farther apart than the parts can lead contradict each other: there is no sum.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 from typing import Any
 
 import surffollow.arbiter.layout as al
-from surffollow.arbiter.publish import put_command
+from surffollow.arbiter.publish import put_command, set_apart
 from surffollow.arbiter.table import FREE
 from surffollow.shm.jit import jit
 
@@ -75,13 +76,51 @@ def is_pose(pose: Any) -> Any:
 
 
 @jit
+def turn_between(one: Any, other: Any, scratch: Any) -> Any:
+    """Angle [rad] between two attitudes.
+
+    Parameters
+    ----------
+    one, other : (4,) float64  quaternions x y z w
+    scratch : (8,) float64
+    """
+    back, turn = scratch[0:4], scratch[4:8]
+    for k in range(3):
+        back[k] = -other[k]
+    back[3] = other[3]
+    multiply(one, back, turn)
+    return 2.0 * math.atan2(math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2), abs(turn[3]))
+
+
+@jit
+def can_convert(x: Any, from_pose: Any, to: Any, scratch: Any) -> Any:
+    """Whether a command relative to one pose may be summed relative to another.
+
+    Parameters
+    ----------
+    x : record of `CombinationRun`
+    from_pose, to : (7,) float64  x y z [m], qx qy qz qw; all zero: not given
+    scratch : (8,) float64
+    """
+    if x.converts == 0 or not (is_pose(from_pose) and is_pose(to)):
+        return False
+    square = 0.0
+    for k in range(3):
+        square += (from_pose[k] - to[k]) ** 2
+    if math.sqrt(square) > x.reach_m:
+        return False
+    return x.n_values < 6 or turn_between(from_pose[3:7], to[3:7], scratch) <= x.reach_rad
+
+
+@jit
 def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
     """Sum the parts into `mem.slot`; 1: valid, 0: not. `valid_until_ns` and the pose are filled in, too.
 
-    Parts that name two poses, one of which was not given, make no sum.
+    Parts that name two poses, one of which was not given or is too far from the other, make no sum.
     """
     x, c = mem.combinations[combination], mem.slot[0].command
     reference, held, valid, until = -1, 0, 1, t_ns + x.ttl_ns
+    x.apart = -1
     c.ref_t_ns = 0
     for k in range(_VALUES):
         c.value[k] = c.safe[k] = 0.0
@@ -108,11 +147,18 @@ def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
             continue
         if reference >= 0 and run.ref_t_ns != 0 and run.ref_t_ns != c.ref_t_ns:
             to = mem.runs[reference].ref_pose
-            if not (is_pose(run.ref_pose) and is_pose(to)):
-                return 0  # relative to a command that no client sent
+            if not can_convert(x, run.ref_pose, to, mem.scratch[0:8]):
+                x.apart = r
+                return 0
             to_pose(run.value, run.ref_pose, to, x.n_values, mem.scratch[0:12], mem.scratch[12:20])
-            for k in range(_VALUES):
-                c.value[k] += mem.scratch[12 + k]
+            for k in range(x.n_values):
+                converted = mem.scratch[12 + k]
+                if not math.isfinite(converted):
+                    return 0
+                value = min(max(converted, run.low[k]), run.high[k])
+                if value != converted:
+                    c.flags |= al.FLAG_LIMITED
+                c.value[k] += value
         else:
             for k in range(_VALUES):
                 c.value[k] += run.value[k]
@@ -141,9 +187,14 @@ def publish_combination(mem: Any, combination: Any, t_ns: Any) -> None:
         x.valid_until_ns = c.valid_until_ns
     else:
         x.source = _SOURCE_SAFE
+        c.flags = 0
         c.ref_t_ns, c.valid_until_ns = 0, t_ns + 3 * x.period_ns
         for k in range(_VALUES):
             c.value[k] = 0.0
+    for i in range(x.n_parts):
+        r = x.part[i]
+        since_ns = mem.runs[r].apart_ns
+        set_apart(mem, r, 0 if r != x.apart else since_ns if since_ns > 0 else t_ns)
     x.command_seq += 1
     x.published_ns = t_ns
     c.seq, c.source = x.command_seq, x.source

@@ -17,6 +17,9 @@ from surffollow.errors import ConfigError, InvalidNameError
 
 TEXT = 255  # letters of all names, or all units, of a command
 MAX_PRIORITY = 1_000_000
+# commands that are converted from one reported pose to another, and their units
+DISPLACEMENT = ("x", "y", "z", "rx", "ry", "rz")
+DISPLACEMENT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 
 class ResourceSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -74,6 +77,27 @@ def limits(spec: ResourceSpec | CombinationSpec) -> tuple[list[float], list[floa
     low = [*spec.low, *(-math.inf,) * VALUES][:VALUES]
     high = [*spec.high, *(math.inf,) * VALUES][:VALUES]
     return low, high
+
+
+def is_displacement(spec: ResourceSpec) -> bool:
+    """Whether a command is a translation [m], or one and a rotation vector [rad], by its names and units."""
+    n = len(spec.command)
+    named = n in (3, 6) and spec.command == DISPLACEMENT[:n]
+    return named and spec.units in ((), ("",) * n, DISPLACEMENT_UNITS[:n])
+
+
+def reach(config: ArbiterConfig, spec: CombinationSpec) -> tuple[float, float]:
+    """How far apart two poses of one sum may be: translation [m] and turn [rad].
+
+    It is the widest range of a value of any part, or that of the sum where it is narrower.
+    """
+    widest = [0.0, 0.0]
+    for part in spec.parts:
+        resource = config.resources[part]
+        for k in range(len(resource.command)):
+            ranges = [high[k] - low[k] for low, high in (limits(resource), limits(spec))]
+            widest[k > 2] = max(widest[k > 2], min(ranges))
+    return widest[0], widest[1]
 
 
 def parse_config(data: dict[str, Any], source: str = "configuration") -> ArbiterConfig:

@@ -213,6 +213,12 @@ class BoardHeader(Schema):
         unit="ns",
         doc="since when an optional part of a sum is lost; -1: it is held, and lost if the server ends",
     )
+    apart_ns = I64(
+        RESOURCES,
+        align=64,
+        unit="ns",
+        doc="since when there is no sum because this part's pose cannot be converted; 0: it can",
+    )
 
 
 class Command(Schema):

@@ -16,6 +16,7 @@ import surffollow.arbiter.table as t
 from surffollow.arbiter.combine import is_pose
 from surffollow.arbiter.effects import apply_event
 from surffollow.arbiter.machine import forget_client
+from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.shm import atomics as at
 from surffollow.shm.jit import jit
 from surffollow.shm.latch import copy_words_out
@@ -26,6 +27,8 @@ _NUMBER, _CONSUMED, _LIVE, _DENIED, _BROKEN = (
     al.ClientEntry.offset(n) for n in ("number", "consumed", "live", "denied", "broken")
 )
 _FUTURE_NS = 1_000_000
+# a pose may be older than its command's time to live by this; services drop poses after 0.1 s by default
+REF_AGE_NS = 1_000_000_000
 
 
 @jit
@@ -122,11 +125,16 @@ def watch_lease(mem: Any, slot: Any, has_items: Any, t_ns: Any) -> None:
 
 @jit
 def is_pose_or_none(pose: Any) -> Any:
-    """Whether seven numbers are a pose (finite, the last four a unit quaternion), or all zero: not given."""
+    """Whether seven numbers are a pose within bounds, or all zero: not given.
+
+    The position has three values within MAX_POSITION_M [m]; the quaternion is a unit quaternion.
+    """
     finite, given = True, False
     for k in range(len(pose)):
         finite = finite and math.isfinite(pose[k])
         given = given or pose[k] != 0.0
+    for k in range(3):
+        finite = finite and abs(pose[k]) <= MAX_POSITION_M
     return finite and (not given or is_pose(pose))
 
 
@@ -135,7 +143,9 @@ def command_guards(mem: Any, resource: Any, t_ns: Any) -> Any:
     """FRESH and SOUND, as far as they hold of the command in `mem.item`."""
     item, run, found = mem.item[0], mem.runs[resource], 0
     # with a time from anywhere in 64 bits the difference may wrap: compare, do not subtract first
-    if item.seq > run.item_seq and t_ns - run.ttl_ns < item.t_ns < t_ns + _FUTURE_NS:
+    oldest_ns, future_ns = t_ns - run.ttl_ns, t_ns + _FUTURE_NS
+    pose_fresh = item.ref_t_ns == 0 or oldest_ns - REF_AGE_NS < item.ref_t_ns < future_ns
+    if item.seq > run.item_seq and oldest_ns < item.t_ns < future_ns and pose_fresh:
         found |= t.FRESH
     sound = True
     for k in range(run.n_values):

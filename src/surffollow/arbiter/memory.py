@@ -76,6 +76,7 @@ class ResourceRun(Schema):
     combination = I64(doc="that sums it, -1: none")
     optional = I64(doc="1: part of a combination that does not require it")
     lost_ns = I64(unit="ns", doc="as `layout.BoardHeader.lost_ns` of an optional part; else 0")
+    apart_ns = I64(unit="ns", doc="as `layout.BoardHeader.apart_ns`")
     value = F64(VALUES, doc="last command, within its limits")
     ref_t_ns = I64(unit="ns")
     ref_pose = F64(POSE)
@@ -99,6 +100,10 @@ class CombinationRun(Schema):
     source = I64()
     period_ns = I64(unit="ns", doc="of what is safe")
     ttl_ns = I64(unit="ns")
+    converts = I64(doc="1: commands are converted from one pose to another")
+    reach_m = F64(unit="m", doc="largest distance between two poses of a sum")
+    reach_rad = F64(unit="rad", doc="largest turn between them")
+    apart = I64(doc="part whose pose cannot be converted to that of the sum, -1: none")
 
 
 class ClientRun(Schema):

@@ -93,9 +93,11 @@ class ArbiterObserver(Closing):
         -------
         dict
             `name`, `alive`, `starting`, `epoch` and `pid` of the server, `lease_s` [s], `rounds` of its loop;
-            `resources`: name → holder, state, queue, counters, `lost_since_ns` (0: not lost) and declaration;
-            `combinations`: name → `parts`, and `waits_for`: parts without which the sum is its safe command,
-            each with `part`, `reason` ("lost" or "required"), `since_ns`, `for_ns` and `remedy`;
+            `resources`: name → holder, state, queue, counters, `lost_since_ns` (0: not lost),
+            `apart_since_ns` (0: its pose can be converted) and declaration;
+            `combinations`: name → `parts`, and `waits_for`: parts because of which the sum is its safe
+            command, each with `part`, `reason` ("lost", "required" or "pose"), `since_ns`, `for_ns`
+            and `remedy`;
             `clients`: a list with number, name, priority, pid and counters of each
         """
         board, h = self.board, self.board.header
@@ -115,6 +117,7 @@ class ArbiterObserver(Closing):
                 "status_block": config["status_block"],
                 "combination": config["combination"] or None,
                 "lost_since_ns": max(0, now["lost_ns"][k]),
+                "apart_since_ns": now["apart_ns"][k],
             }
         clients = [e for e in map(board.entry, range(al.CLIENTS)) if e["number"]]
         return {
@@ -149,6 +152,12 @@ class ArbiterObserver(Closing):
                 )
             elif config["required"] and s["state"] == "FREE":
                 reason, since_ns = "required", s["since_ns"] or self.board.header["started_ns"]
+            elif s["apart_since_ns"]:
+                reason, since_ns = "pose", s["apart_since_ns"]
+                remedy = (
+                    f"the clients of {combination}'s parts send the poses that the robot reported, or {part} "
+                    "sends offsets without a pose"
+                )
             else:
                 continue
             for_ns = max(0, time.monotonic_ns() - since_ns)

@@ -21,7 +21,8 @@ _REPLY, _REPLY_LATCH, _STATUS, _STATUS_LATCH = (
     al.STATUS_BYTES,
 )
 _HELD, _ASKED, _DOORBELL = (al.ClientGrants.offset(n) for n in ("held", "asked", "doorbell"))
-_WAITED, _LOST = al.ClientEntry.offset("waited_ns"), al.BoardHeader.offset("lost_ns")
+_WAITED = al.ClientEntry.offset("waited_ns")
+_LOST, _APART = al.BoardHeader.offset("lost_ns"), al.BoardHeader.offset("apart_ns")
 _SLOT_BYTES = m.CommandSlot.SIZE
 _EVENT_WORDS, _VALUES, _POSE = al.EVENT_WORDS, al.VALUES, al.POSE
 _SOURCE_SAFE, _LIMITED = al.SOURCE_SAFE, al.FLAG_LIMITED
@@ -176,6 +177,22 @@ def set_lost(mem: Any, resource: Any, lost_ns: Any) -> None:
     if run.optional != 0:
         run.lost_ns = lost_ns
         at.store_release_i64(mem.ctx[m.HEADER] + _LOST + 8 * resource, lost_ns)
+
+
+@jit
+def set_apart(mem: Any, resource: Any, apart_ns: Any) -> None:
+    """Note on the board since when a sum is refused because of this part's pose.
+
+    Parameters
+    ----------
+    mem : Memory
+    resource : int64
+    apart_ns : int64  as `layout.BoardHeader.apart_ns`
+    """
+    run = mem.runs[resource]
+    if run.apart_ns != apart_ns:
+        run.apart_ns = apart_ns
+        at.store_release_i64(mem.ctx[m.HEADER] + _APART + 8 * resource, apart_ns)
 
 
 @jit

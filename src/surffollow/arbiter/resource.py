@@ -198,8 +198,8 @@ class Resource:
         ref_t_ns : int
             timestamp of the pose that the values are relative to [ns]; 0: relative to none
         ref_pose : seven floats, optional
-            that pose: x y z [m], qx qy qz qw. The timestamp alone is enough where nothing is summed that is
-            relative to another pose
+            that pose: x y z [m], qx qy qz qw; needs `ref_t_ns`. The timestamp alone is enough where nothing
+            is summed that is relative to another pose
 
         Returns
         -------
@@ -210,8 +210,8 @@ class Resource:
         Raises
         ------
         UsageError
-            another number of values, a value that is no finite number, a time that is no whole number, or no
-            such pose; nothing was sent
+            another number of values, a value that is no finite number, a time that is no whole number, no
+            such pose, or a pose without its time; nothing was sent
 
         Notes
         -----
@@ -230,6 +230,8 @@ class Resource:
             finite = False
         if not finite:
             raise self._no_numbers(values)
+        if ref_pose is not None and ref_t_ns == 0:
+            raise UsageError("ref_pose needs ref_t_ns, the time of its report [ns of CLOCK_MONOTONIC], not 0")
         mailbox_words = self._mailbox_words
         head = mailbox_words[_HEAD]
         if head - self._words[self._consumed] >= al.MAILBOX_ITEMS:

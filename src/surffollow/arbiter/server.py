@@ -18,7 +18,7 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter import memory as m
 from surffollow.arbiter import table as t
 from surffollow.arbiter.board import Board, CommandBlock
-from surffollow.arbiter.config import ArbiterConfig, limits
+from surffollow.arbiter.config import ArbiterConfig, is_displacement, limits, reach
 from surffollow.arbiter.connections import ConnectionServer, users_of
 from surffollow.arbiter.effects import apply_event
 from surffollow.arbiter.loop import run_rounds
@@ -104,6 +104,8 @@ class Server:
             x["block"], x["fence"], x["changed"] = block.latch, block.fence, 1
             x["period_ns"] = mem.runs[parts[0]]["safe_period_ns"]
             x["ttl_ns"] = mem.runs[parts[0]]["ttl_ns"]
+            x["converts"], x["apart"] = is_displacement(first), -1
+            x["reach_m"], x["reach_rad"] = reach(self.config, spec)
 
     def _start_resources(self) -> None:
         for r in range(len(self.config.resources)):

@@ -15,6 +15,11 @@ from surffollow.cli.old_names import old_name
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
 STARTING = 3  # exit code, as of `surffollow status`
+_WAITS = {
+    "lost": "is lost (its client ended or fell silent, or the arbiter ended while it was held)",
+    "required": "is required and has no holder",
+    "pose": "has a pose that cannot be converted (absent, or too far from that of the sum)",
+}
 
 
 @click.group("arbiter")
@@ -89,13 +94,9 @@ def _print_status(name: str, status: dict[str, Any]) -> None:
     for combination, x in status["combinations"].items():
         print(f"  {combination}: the sum of {', '.join(x['parts'])}")
         for w in x["waits_for"]:
-            why = (
-                "lost (its client ended or fell silent, or the arbiter ended while it was held)"
-                if w["reason"] == "lost"
-                else "required and has no holder"
-            )
+            why = _WAITS[w["reason"]]
             print(
-                f"    safe command for {format_ns(w['for_ns'])}, because {w['part']} is {why}. "
+                f"    safe command for {format_ns(w['for_ns'])}, because {w['part']} {why}. "
                 f"Way out: {w['remedy']}"
             )
     for c in status["clients"]:

@@ -105,7 +105,11 @@ def seeds_of(ctx: click.Context, param: click.Parameter, value: str) -> range:
     help="Clients that share the base, see above.",
 )
 @click.option(
-    "--laps", type=click.IntRange(min=1), default=4, show_default=True, help="Laps in simulated time."
+    "--laps",
+    type=click.IntRange(min=1),
+    default=4,
+    show_default=True,
+    help="Laps in simulated time. The last one ends 20° short of a whole turn.",
 )
 @click.option(
     "--seeds", callback=seeds_of, default="1", show_default=True, help="Seeds, A:B without B, or one number."
@@ -146,7 +150,8 @@ def wall_follow_command(
             run, history = run_processes(experiment, seconds, seed=seed)
             more: dict[str, Any] = {"events": len(history)}
         else:
-            run, more = run_experiment(experiment, laps=laps, seed=seed), {}
+            run = run_experiment(experiment, laps=laps, seed=seed)
+            more = {"ended": run.ended}
         first = first or run
         runs.append({"seed": seed, **figures(run), **more})
         if len(seeds) > 1 and not as_json:
@@ -158,6 +163,8 @@ def wall_follow_command(
     median = median_of(runs)
     said = {"experiment": experiment, "runs": runs, "median": median}
     text = f"experiment {experiment}, median of {len(runs)}: {line_of(median)}"
+    ends = {str(r["ended"]) for r in runs if "ended" in r}
+    text += "".join(f"; {end}" for end in sorted(ends))
     print(json.dumps(without_nan(said)) if as_json else text)
 
 
@@ -165,7 +172,7 @@ def median_of(runs: list[dict[str, Any]]) -> dict[str, float]:
     """Median of every figure, and the sum of the contacts."""
     import statistics
 
-    keys = [k for k in runs[0] if k != "seed"]
+    keys = [k for k in runs[0] if k not in ("seed", "ended")]
     said = {k: float(statistics.median(r[k] for r in runs)) for k in keys}
     return {**said, "contacts": float(sum(r["contacts"] for r in runs))}
 

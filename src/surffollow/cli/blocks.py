@@ -12,6 +12,7 @@ import click
 from surffollow.cli.json_values import without_nan
 from surffollow.cli.old_names import old_name
 from surffollow.cli.option_types import JSON, Finite
+from surffollow.errors import escaped
 from surffollow.units import numbers_text
 
 if TYPE_CHECKING:
@@ -104,9 +105,15 @@ def _value_lines(schema: Any, values: dict[str, Any], indent: str) -> list[str]:
                 lines.append(f"{indent}  {f.name}{f'[{k}]' if f.count > 1 else ''}:")
                 lines += _value_lines(f.nested, item, indent + "  ")
             continue
-        unit = f" [{f.unit}]" if f.unit else ""
-        lines.append(f"{indent}  {f.name}{unit} = {_text(value)}" + (f"    {f.doc}" if f.doc else ""))
+        unit = f" [{_one_line(f.unit)}]" if f.unit else ""
+        doc = f"    {_one_line(f.doc)}" if f.doc else ""
+        lines.append(f"{indent}  {f.name}{unit} = {_text(value)}{doc}")
     return lines
+
+
+def _one_line(text: str) -> str:
+    """Text of a block's writer without line breaks and control characters."""
+    return escaped(text).replace("\n", r"\n").replace("\t", r"\t")
 
 
 def _text(value: Any) -> str:

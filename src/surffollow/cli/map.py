@@ -81,7 +81,10 @@ def show_command(file: str, width: int, show_counts: bool) -> None:
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = (total / n).reshape(rows, columns)
     seen = mean[np.isfinite(mean)]
-    low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 0.0)
+    if not seen.size:
+        click.echo(f"nothing is known: none of {nx} × {ny} grids has a height")
+        return
+    low, high = float(seen.min()), float(seen.max())
     scale = (len(_SHADES) - 1) / (high - low) if high > low else 0.0
     for row in mean[::-1]:
         click.echo("".join("?" if v != v else _SHADES[int((v - low) * scale + 0.5)] for v in row.tolist()))

@@ -69,6 +69,12 @@ def record_command(
             rotate_s=rotate_time or 0.0,
             keep=keep or 0,
         )
+    if counts.cycles == 0:
+        click.echo(
+            f"surffollow: no cycle was recorded: service {name!r} ran none meanwhile. Look at it: "
+            f"surffollow status --name {name}",
+            err=True,
+        )
     if as_json:
         click.echo(json.dumps({"file": counts.files[0], **asdict(counts)}))
     else:

@@ -34,7 +34,7 @@ extern "C" {
 
 #define SFA_BOARD_MAGIC UINT64_C(3549489896627524947)
 #define SFA_HELLO_MAGIC UINT64_C(3552290382808241491)
-#define SFA_LAYOUT_HASH UINT64_C(8380104231061645664)
+#define SFA_LAYOUT_HASH UINT64_C(7141158648387104103)
 #define SFA_COMMAND_HASH UINT64_C(8684360531530651681)
 #define SFA_CLIENTS 32
 #define SFA_RESOURCES 16
@@ -291,8 +291,9 @@ typedef struct sfa_board_header {
   SF_ALIGNAS(64) int64_t heartbeat_ns; /* [ns] last round of the server */
   int64_t rounds; /* looks at the mailboxes so far */
   SF_ALIGNAS(64) int64_t lost_ns[16]; /* [ns] since when an optional part of a sum is lost; -1: it is held, and lost if the server ends */
+  SF_ALIGNAS(64) int64_t apart_ns[16]; /* [ns] since when there is no sum because this part's pose cannot be converted; 0: it can */
 } sfa_board_header;
-SF_STATIC_ASSERT(sizeof(sfa_board_header) == 448, "layout of sfa_board_header");
+SF_STATIC_ASSERT(sizeof(sfa_board_header) == 576, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, magic) == 0, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, version) == 8, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, layout_hash) == 16, "layout of sfa_board_header");
@@ -311,6 +312,7 @@ SF_STATIC_ASSERT(offsetof(sfa_board_header, state) == 192, "layout of sfa_board_
 SF_STATIC_ASSERT(offsetof(sfa_board_header, heartbeat_ns) == 256, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, rounds) == 264, "layout of sfa_board_header");
 SF_STATIC_ASSERT(offsetof(sfa_board_header, lost_ns) == 320, "layout of sfa_board_header");
+SF_STATIC_ASSERT(offsetof(sfa_board_header, apart_ns) == 448, "layout of sfa_board_header");
 
 /* Present command of a resource: the command block NAME.RESOURCE. */
 typedef struct sfa_command_block {
@@ -850,9 +852,9 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
 
 /*
  * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
- * pose of `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
+ * pose of `ref_t_ns` (0: none; then `ref_pose` is NULL). Never waits.
  * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full; -ENOENT: the
- * server was silent for a lease; -EINVAL: no such resource, or another number of values.
+ * server was silent for a lease; -EINVAL: no such resource, another number of values, or a pose without its time.
  */
 static inline int sfa_command_at(sfa_client *a, int resource, const double *values, int n, int64_t ref_t_ns,
                                  const double *ref_pose) {
@@ -861,6 +863,7 @@ static inline int sfa_command_at(sfa_client *a, int resource, const double *valu
   if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
   if (token == 0) return 0;
   if (n != sfa_i_config(a, resource)->n_values || n > SFA_VALUES) return -EINVAL;
+  if (ref_t_ns == 0 && ref_pose != NULL) return -EINVAL;
   if (sfa_i_is_silent(a, now)) return -ENOENT;
   err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, now, values, n, ref_t_ns, ref_pose);
   return err == 0 ? 1 : err;

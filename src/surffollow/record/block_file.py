@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -164,6 +165,7 @@ class BlockFile(McapReader):
         """
         kinds: dict[int, tuple[str, Message, type[Schema]]] = {}
         rows: dict[str, list[dict[str, Any]]] = {}
+        columns: dict[int, list[str]] = {}
         for opcode, body in self.records():
             if opcode == CHANNEL:
                 number, _, topic, _, about = read_channel(body)
@@ -173,35 +175,59 @@ class BlockFile(McapReader):
                     except SchemaError as e:
                         raise RecordingError(f"{self.path}: {e}") from None
                     kinds[number] = topic.removeprefix("/blocks/"), block_message(schema), schema
+                    columns[number] = _columns(schema)
             elif opcode == MESSAGE:
                 number = int.from_bytes(body[:2], "little")
                 if number in kinds:
                     name, kind, schema = kinds[number]
                     values = kind.decode(bytes(body[MESSAGE_HEAD.size :]))
-                    rows.setdefault(name, []).append(_flat(schema, values))
+                    rows.setdefault(name, []).append(dict(zip(columns[number], _row(schema, values))))
         if not rows:
             raise RecordingError(f"{self.path} holds no publication of a block")
         return {name: {k: [row[k] for row in found] for k in found[0]} for name, found in rows.items()}
 
 
-def _flat(schema: type[Schema], values: dict[str, Any]) -> dict[str, Any]:
-    """One row: the publication's time and number, then every number and text of the block."""
-    out = {f.name: values.get(f.name, 0) for f in _BEFORE[1:]}
-    _flatten(schema, values, "", out)
-    return out
+def _columns(schema: type[Schema]) -> list[str]:
+    """Names of a table's columns: the publication's time and number, then every leaf of the block.
+
+    A leaf is named without punctuation, such as `axes0`, `parts1_value`. One whose name another column has
+    is named by its exact place instead: `axes[0]`, `parts[1].value`.
+    """
+    before = [f.name for f in _BEFORE[1:]]
+    leaves = list(_leaf_names(schema, "", ""))
+    times = Counter(plain for plain, _ in leaves)
+    names = [exact if times[plain] > 1 or plain in before else plain for plain, exact in leaves]
+    own = {f.name for f in schema.FIELDS}
+    return [*(n for n in before if n not in own), *names]
 
 
-def _flatten(schema: type[Schema], values: dict[str, Any], prefix: str, out: dict[str, Any]) -> None:
+def _leaf_names(schema: type[Schema], plain: str, exact: str) -> Iterator[tuple[str, str]]:
     for f in schema.FIELDS:
-        name = f"{prefix}{f.name}"
+        array = f.count > 1 and not f.is_text
+        for k in range(f.count if array else 1):
+            names = f"{plain}{f.name}{k if array else ''}", f"{exact}{f.name}{f'[{k}]' if array else ''}"
+            if f.nested is not None:
+                yield from _leaf_names(f.nested, f"{names[0]}_", f"{names[1]}.")
+            else:
+                yield names
+
+
+def _row(schema: type[Schema], values: dict[str, Any]) -> list[Any]:
+    """Values of the columns."""
+    own = {f.name for f in schema.FIELDS}
+    return [*(values.get(f.name, 0) for f in _BEFORE[1:] if f.name not in own), *_leaves(schema, values)]
+
+
+def _leaves(schema: type[Schema], values: dict[str, Any]) -> Iterator[Any]:
+    for f in schema.FIELDS:
         value = values.get(f.name)
         if f.nested is not None:
-            items = value if f.count > 1 else [value]
-            for k, item in enumerate(items or []):
-                _flatten(f.nested, item or {}, f"{name}{k if f.count > 1 else ''}_", out)
+            items = (value or [{}] * f.count) if f.count > 1 else [value or {}]
+            for item in items:
+                yield from _leaves(f.nested, item)
         elif f.is_text:
-            out[name] = value or ""
+            yield value or ""
         elif f.count > 1:
-            out |= {f"{name}{k}": v for k, v in enumerate(value or [0] * f.count)}
+            yield from value or [0] * f.count
         else:
-            out[name] = value if value is not None else 0
+            yield value if value is not None else 0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surffollow.client.board import Board
 from surffollow.client.histogram_report import histogram_summary
 from surffollow.client.map_live import MapReading
-from surffollow.errors import BlockError, FaultError, RecordingError
+from surffollow.errors import FaultError, RecordingError
 from surffollow.record import foxglove as fx
 from surffollow.record.channels import PACKAGE, StandardChannels
 from surffollow.record.map_channel import MapPace, known_points
@@ -112,10 +112,8 @@ class ChannelFeed:
         now = time.monotonic()
         if self._log is not None and now >= self._service_at:
             self._service_at = now + SERVICE_S
-            with contextlib.suppress(FaultError, OSError):  # a service that goes away just now
-                self._publish_service(self._log.board)
-            with contextlib.suppress(FaultError, OSError):
-                self._publish_map(now)
+            self._publish_service()
+            self._publish_map(now)
 
     def _drain(self, most: int) -> None:
         while self._waiting and most > 0:
@@ -138,7 +136,16 @@ class ChannelFeed:
             text = f"{self._reported} cycles came out otherwise here than in the service: another release?"
             self.channels.log(time.monotonic_ns(), text, fx.WARNING)
 
-    def _publish_service(self, board: Board) -> None:
+    def _publish_service(self) -> None:
+        """Write the counters; errors of the file are not those of a service that goes away just now."""
+        values: dict[str, Any] = {}
+        with contextlib.suppress(FaultError, OSError):
+            values = self._read_service(self._log.board)  # type: ignore[union-attr]
+        if values:
+            self.channels.sink.add_message("/service", SERVICE, values["t_ns"], SERVICE.encode(values))
+
+    def _read_service(self, board: Board) -> dict[str, Any]:
+        """Counters of the service, as the fields of a message."""
         stats = board.plain("stats", Stats)
         main_thread = board.latch("ticker", MainThreadState).read() or {}
         map_status = board.latch("map_status", MapStatus).read() or {}
@@ -154,22 +161,30 @@ class ChannelFeed:
             values[name] = stats[name]
         values |= {"pose_pid": main_thread.get("pose_pid"), "clients": main_thread.get("clients")}
         values["service_faults"] = main_thread.get("faults")
-        values |= {f"map_{n}": map_status.get(n) for n in ("queued", "applied", "lost")}
-        self.channels.sink.add_message("/service", SERVICE, t_ns, SERVICE.encode(values))
+        return values | {f"map_{n}": map_status.get(n) for n in ("queued", "applied", "lost")}
 
     def _publish_map(self, now: float) -> None:
-        assert self._map is not None
+        """Write the map when it changed; errors as of `_publish_service`."""
         if not self._pace.free(now):
             return
-        changes = self._map.map_changes(self._changes)
-        if not changes.tiles:
+        read = None
+        with contextlib.suppress(FaultError, OSError):
+            read = self._read_map()
+        if read is None:
             return
-        window = self._map.map_window()
-        w = (window.origin_m, window.grid_m, window.quantum_m, window.datum_m)
-        points, counts = known_points(window.quanta(), window.samples(), *w)
-        self._changes = changes
+        self._changes, points, counts = read
         if len(points):
             self._pace.spent(now, self.channels.map_points(time.monotonic_ns(), points, counts))
+
+    def _read_map(self) -> tuple[Any, NDArray[np.float64], NDArray[np.uint8]] | None:
+        """Changes of the map, and its known points with their sample counts; None: nothing changed."""
+        assert self._map is not None
+        changes = self._map.map_changes(self._changes)
+        if not changes.tiles:
+            return None
+        window = self._map.map_window()
+        w = (window.origin_m, window.grid_m, window.quantum_m, window.datum_m)
+        return changes, *known_points(window.quanta(), window.samples(), *w)
 
     def change_file(self, writer: RecordingWriter) -> None:
         """Go on in another file, which repeats parameters, mounts and map."""
@@ -183,10 +198,9 @@ class ChannelFeed:
         while self._waiting:
             self._drain(_MAX_BATCHES)
         if self._map is not None:
-            with contextlib.suppress(FaultError, BlockError, OSError):
-                self._pace = MapPace()
-                self._publish_map(time.monotonic())
-                self._publish_service(self._log.board)  # type: ignore[union-attr]
+            self._pace = MapPace()
+            self._publish_map(time.monotonic())
+            self._publish_service()
 
     def close(self) -> None:
         """Let go of the map."""

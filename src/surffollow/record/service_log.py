@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,9 @@ from surffollow.client.board import Board
 from surffollow.client.cycle_log_reader import locate_log
 from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import BlockError, NotRunningError
-from surffollow.shm.layout_board import STATE_READY, BoardHeader
+from surffollow.shm.layout_board import STATE_READY, BoardHeader, MainThreadState
+
+STANDSTILL_NS = 1_000_000_000
 
 
 class ServiceLog:
@@ -63,6 +66,11 @@ class ServiceLog:
     def alive(self) -> bool:
         """Whether this start of the service is ready and its board still has the name."""
         return bool(self.board.state() == STATE_READY and self._same_start() and self.board.is_current())
+
+    def stands_still(self) -> bool:
+        """Whether the service's main thread has shown no life for a while, as behind SIGSTOP."""
+        main_thread = self.board.latch("ticker", MainThreadState).read() or {"t_ns": 0}
+        return time.monotonic_ns() - int(main_thread["t_ns"]) > STANDSTILL_NS
 
     def reattach(self) -> bool:
         """Go over to a newer start's board; False while there is none."""

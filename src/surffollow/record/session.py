@@ -91,8 +91,9 @@ def record_service(
     """Record the service `name` into `out` until `stop` is set or `seconds` have passed.
 
     The seconds count from the first cycle recorded: kernels may be compiled before it. Where no cycle
-    comes because no service is alive, they count from the first look at its log. A service that stops
-    is waited for: its next start becomes the next segment. An existing file is replaced only with `force`.
+    comes because no service is alive, or because it stands still, they count from the first look at its
+    log. A service that stops is waited for: its next start becomes the next segment. An existing file is
+    replaced only with `force`.
 
     Parameters
     ----------
@@ -140,7 +141,11 @@ def _run(
     begun = recorder.counts.cycles > 0
     while not stop.is_set():
         now = time.monotonic()
-        if seconds is not None and now - begin >= seconds and (begun or not log.alive()):
+        if (
+            seconds is not None
+            and now - begin >= seconds
+            and (begun or not log.alive() or log.stands_still())
+        ):
             break
         recorder.poll()
         if feed is not None:

@@ -82,14 +82,15 @@ def _member(f: Field, prefix: str, text_note: str) -> str:
     align = f"SF_ALIGNAS({f.extra_align}) " if f.extra_align > natural else ""
     count = f"[{f.count}]" if f.count > 1 or f.is_text else ""
     doc = "; ".join(x for x in (_ascii(f.doc), text_note if f.is_text else "") if x)
-    note = " ".join(x for x in (f"[{f.unit}]" if f.unit else "", doc) if x)
+    note = " ".join(x for x in (f"[{_ascii(f.unit)}]" if f.unit else "", doc) if x)
     return f"  {align}{kind} {f.name}{count};" + (f" /* {note} */" if note else "")
 
 
 def _ascii(text: str) -> str:
     for this, that in (("…", "..."), ("·", "*"), ("→", "->"), ("²", "^2"), ("Φ", "phi"), ("×", "x")):
         text = text.replace(this, that)
-    return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")
+    printable = "".join(c if c.isprintable() else " " for c in text)
+    return printable.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")
 
 
 def c_struct(schema: type[Schema], prefix: str = "sf_", text_note: str = "") -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -24,14 +25,25 @@ class Terminated(SystemExit):
     """A signal asked the program to end; the code is 128 and its number."""
 
 
+def _ends_already() -> bool:
+    """Whether the present code tidies up behind a `Terminated`."""
+    error = sys.exc_info()[1]
+    while error is not None and not isinstance(error, Terminated):
+        error = error.__context__
+    return error is not None
+
+
 @contextlib.contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise `Terminated` once, so that everything is tidied up; later ones wait."""
+    """Let SIGTERM and SIGHUP raise `Terminated`, so that everything is tidied up.
+
+    Later ones do nothing while that goes on. They raise again when the exception was lost, in a finalizer
+    for instance.
+    """
 
     def end(number: int, _: object) -> None:
-        for n in before:
-            signal.signal(n, signal.SIG_IGN)
-        raise Terminated(128 + number)
+        if not _ends_already():
+            raise Terminated(128 + number)
 
     numbers = (signal.SIGTERM, signal.SIGHUP)
     # signals that nohup ignores stay ignored

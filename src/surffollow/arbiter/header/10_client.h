@@ -353,9 +353,9 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
 
 /*
  * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
- * pose of `ref_t_ns` (0: none; then `ref_pose` may be NULL). Never waits.
+ * pose of `ref_t_ns` (0: none; then `ref_pose` is NULL). Never waits.
  * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full; -ENOENT: the
- * server was silent for a lease; -EINVAL: no such resource, or another number of values.
+ * server was silent for a lease; -EINVAL: no such resource, another number of values, or a pose without its time.
  */
 static inline int sfa_command_at(sfa_client *a, int resource, const double *values, int n, int64_t ref_t_ns,
                                  const double *ref_pose) {
@@ -364,6 +364,7 @@ static inline int sfa_command_at(sfa_client *a, int resource, const double *valu
   if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
   if (token == 0) return 0;
   if (n != sfa_i_config(a, resource)->n_values || n > SFA_VALUES) return -EINVAL;
+  if (ref_t_ns == 0 && ref_pose != NULL) return -EINVAL;
   if (sfa_i_is_silent(a, now)) return -ENOENT;
   err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, now, values, n, ref_t_ns, ref_pose);
   return err == 0 ? 1 : err;
