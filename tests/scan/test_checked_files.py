@@ -273,7 +273,7 @@ def test_one_row_far_from_its_neighbours_is_refused_before_poses_between_are_mad
     ground = ground_of(5, 120)
     _, file = plan_of(tmp_path, ground)
     changed_column(file, "x_m", lambda v: 1000.0, 7)
-    with pytest.raises(ScanFileError, match="row 7 to row 8 .* too far apart"):
+    with pytest.raises(ScanFileError, match=r"row 7 to row 8 .* too far apart"):
         findings_of(ground, file)
 
 
