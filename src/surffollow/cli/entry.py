@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def ended_at_once_by_interrupts() -> Iterator[None]:
-    """Let SIGINT end the process with 130, nothing is there to be cleaned up; ignored or handled it stays so."""
+    """Let SIGINT end the process at once, with 130; where it is ignored or handled it stays so."""
     raises = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if raises:
         signal.signal(signal.SIGINT, lambda *_: os._exit(128 + signal.SIGINT))

@@ -148,7 +148,8 @@ def print_error(error: SurffollowError | click.ClickException | ModuleNotFoundEr
     if isinstance(error, ModuleNotFoundError):
         text = missing_library(error)
         if not text:
-            return print_unexpected(error)
+            print_unexpected(error)
+            return
     elif isinstance(error, click.ClickException):  # of options; the names of click's classes change
         kind, text, code = UsageError.__name__, error.format_message(), error.exit_code
     else:
