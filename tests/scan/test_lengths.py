@@ -91,6 +91,13 @@ def test_a_map_that_has_no_slopes_in_the_region_is_refused(tmp_path, cells, grid
     assert "3 × 3 cells or more" in error
 
 
+def test_a_map_of_a_million_metres_is_asked_for_its_unit_first(tmp_path):
+    TerrainGrid.of(np.zeros((10, 10)), grid_m=1e5).to_map().save(tmp_path / "m.npz")
+    error = refused(tmp_path, "plan", tmp_path / "m.npz", "--gap", "5cm")
+    assert "choose a smaller region" in error
+    assert "in metres?" in error
+
+
 @pytest.mark.parametrize("swath_m", [None, 0.4, 100.0])
 def test_the_rate_of_a_scan_is_the_area_of_the_region_over_the_time(swath_m):
     ground = TerrainGrid.of(np.zeros((60, 60)), grid_m=0.02)
