@@ -372,6 +372,8 @@ def test_a_channel_without_a_table_keeps_its_own_window_beside_a_wider_one() -> 
     ("text", "says"),
     [
         ("{}x", "no calibration"),
+        ("{}", "no table, no latency and no mounts; write one"),
+        ('{"version": 1, "mounts": [], "about": {"a": 1}}', "no table, no latency and no mounts"),
         ('{"version": 7}', "version 7"),
         ('{"latency_s": -1}', "latency_s"),
         ('{"tables": [{"channel": 0, "indicated": [1, 1], "range_m": [1, 2]}]}', "not monotone"),

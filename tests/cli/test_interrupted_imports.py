@@ -38,9 +38,10 @@ def test_an_interrupt_during_the_imports_of_start_ends_it(module: str, tmp_path:
     config = tmp_path / "service.toml"
     config.write_text('[driver]\nkind = "none such"\n')  # what lost the interrupt ends there
     words = [sys.executable, "-m", "surffollow", "start", "--name", unique_name(), "--config", str(config)]
-    more = {"PYTHONPATH": str(tmp_path), "INTERRUPTED_MODULE": module}
+    paths = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
+    more = {"PYTHONPATH": os.pathsep.join(paths), "INTERRUPTED_MODULE": module}
     done = subprocess.run(words, env=os.environ | more, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (128 + signal.SIGINT, "", "")
 
 
 DRIVER = """

@@ -72,6 +72,31 @@ def test_a_process_without_memory_gives_an_object_and_one_line(
     assert err.startswith("surffollow: the limits of this process leave no memory")
 
 
+@pytest.mark.parametrize("as_json", [True, False])
+@pytest.mark.parametrize("error", [ZeroDivisionError("division by zero"), OSError("odd"), KeyError("x")])
+def test_an_error_that_no_command_expects_is_named_a_fault_of_ours_with_its_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: Exception, as_json: bool
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("surffollow.record.replay.replay_file", fail)
+    with pytest.raises(SystemExit) as end:
+        main(["replay", "none.mcap", *(["--json"] if as_json else [])])
+    out, err = capsys.readouterr()
+    assert end.value.code == 1
+    assert err.startswith("Traceback")
+    assert type(error).__name__ in err
+    assert err.splitlines()[-1].startswith("surffollow: this is a fault of surffollow")
+    if as_json:
+        found = json.loads(out)
+        assert (found["kind"], found["exit_code"]) == ("FaultError", 1)
+        assert found["error"].startswith("this is a fault of surffollow")
+        assert type(error).__name__ in found["error"]
+    else:
+        assert out == ""
+
+
 @pytest.mark.parametrize("words", [("status", "--name", "json-none"), ("replay", "none.mcap")])
 def test_the_text_stays_on_stderr_and_stdout_is_empty_without_json(
     tmp_path: Path, words: tuple[str, ...]

@@ -32,3 +32,11 @@ def test_digits_grouped_by_underscores_are_refused(
     file.write_text(text.format("1_5"))
     with pytest.raises(error, match="1_5"):
         read(str(file))
+
+
+def test_spots_with_two_columns_of_one_name_are_refused(tmp_path: Path) -> None:
+    """The last one would be taken."""
+    file = tmp_path / "spots.csv"
+    file.write_text("x_m,y_m,correction_m,correction_m\n0,0,0.001,0.9\n1,0,0.002,0.9\n")
+    with pytest.raises(ScanFileError, match="two columns are called correction_m"):
+        read_spots(file)

@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Callable, Iterator
 
+import numpy as np
 import pytest
 
 from running_service import POSE, Service, drive, until
@@ -54,6 +55,13 @@ def test_a_channel_that_no_sensor_can_have_is_a_usage_error(client: Client, chan
 def test_a_file_name_with_a_null_character_is_a_map_file_error(client: Client) -> None:
     with pytest.raises(MapFileError, match="null character"):
         client.upload_map("ground\0.txt")
+
+
+def test_an_array_of_seven_arrays_is_a_pose_error(client: Client) -> None:
+    """Arrays of one number compare like numbers, and are none."""
+    column = np.array([[0.05], [0.05], [0.1], [0.0], [0.0], [0.0], [1.0]])
+    with pytest.raises(PoseError, match="seven numbers"):
+        client.ee_pos(column)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("place", range(7))

@@ -253,3 +253,43 @@ def test_passes_over_unknown_ground_are_a_warning_of_plan_and_check(tmp_path):
     ]
     assert row["ok"]
     assert row["warning"]
+
+
+@pytest.mark.parametrize("text", ["1e200", "-1.1e9", "inf", "nan"])
+@pytest.mark.parametrize("column", ["x_m", "y_m", "z_m"])
+def test_a_row_out_of_every_world_is_refused_by_check_and_run_with_its_number(tmp_path, column, text):
+    ground = ground_of(5, 120)
+    _, file = plan_of(tmp_path, ground)
+    changed_column(file, column, lambda v: float(text), 7)
+    if (column, text) == ("z_m", "nan"):  # a row without a height, which a check finds
+        assert "unplanned" in failed(ground, file)
+        return
+    for read in (read_path, lambda f: findings_of(ground, f)):
+        with pytest.raises(ScanFileError, match=rf"row 8: {column} is "):
+            read(file)
+
+
+def test_one_row_far_from_its_neighbours_is_refused_before_poses_between_are_made(tmp_path):
+    ground = ground_of(5, 120)
+    _, file = plan_of(tmp_path, ground)
+    changed_column(file, "x_m", lambda v: 1000.0, 7)
+    with pytest.raises(ScanFileError, match=r"row 7 to row 8 .* too far apart"):
+        findings_of(ground, file)
+
+
+def test_a_quaternion_whose_square_overflows_is_refused_by_the_check(tmp_path):
+    ground = ground_of(5, 120)
+    _, file = plan_of(tmp_path, ground)
+    changed_column(file, "qz", lambda v: 1e300, 7)
+    with pytest.raises(ScanFileError, match="row 8: qz is"):
+        findings_of(ground, file)
+
+
+def test_a_path_with_two_columns_of_one_name_is_refused_by_check_and_run(tmp_path):
+    ground = ground_of(5, 120)
+    _, file = plan_of(tmp_path, ground)
+    facts, names, rows = table_of(file)
+    write_table(file, facts, [*names, "z_m"], [[*r, "0.5"] for r in rows])
+    for read in (read_path, lambda f: findings_of(ground, f)):
+        with pytest.raises(ScanFileError, match="two columns are called z_m"):
+            read(file)

@@ -16,7 +16,8 @@ from surffollow.scan import TerrainGrid, disc
 from surffollow.scan.check import check_path
 from surffollow.scan.path import OUT_OF_REACH, UNKNOWN_BENEATH
 from surffollow.scan.path_file import read_path, write_path
-from surffollow.scan.plan import PlanSettings, plan_figures, plan_scan
+from surffollow.scan.plan import PlanSettings, plan_scan
+from surffollow.scan.plan_summary import plan_figures
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from surffollow.map.height_map import HeightMap
 from surffollow.sim.path_table import read_path_table
 from surffollow.sim.raster import file_path, raster_path
 from surffollow.sim.robot import RobotCore
-from surffollow.sim.robot_config import RobotConfig
+from surffollow.sim.robot_config import RobotConfig, make_path
 from surffollow.sim.world_surface import WorldConfig
 
 
@@ -204,3 +204,20 @@ def test_every_setting_of_the_simulated_sensor_may_have_a_unit_and_lack_its_endi
     assert info.latency_ns == 5_500_000
     with pytest.raises(ConfigError, match="window_m"):
         make_driver({"led": {"window": ["40 mm", "10 mm"]}, "world": world}, "x")
+
+
+@pytest.mark.parametrize("path", ["line", "raster"])
+@pytest.mark.parametrize("region", [(5.0, 5.0, 6.0, 6.0), (0.1, 0.1, 0.6, 0.3), (-0.1, 0.0, 0.4, 0.2)])
+def test_a_region_beside_the_ground_is_refused(path: str, region: tuple[float, float, float, float]) -> None:
+    """There the ground of its edge went on, and counted."""
+    world = WorldConfig(surface="flat", region=(0.0, 0.0, 0.5, 0.3))
+    with pytest.raises(UsageError, match="lies outside the ground"):
+        make_path(RobotConfig(world=world, path=path, region=region), world.make())
+    inside = RobotConfig(world=world, path=path, region=(0.0, 0.0, 0.5, 0.3))
+    assert make_path(inside, world.make()).length_m > 0.0
+
+
+@pytest.mark.parametrize("surface", ["fy91", "flat", "shell"])
+def test_a_spacing_of_heights_that_is_none_is_named_not_the_region(surface: str) -> None:
+    with pytest.raises(UsageError, match=r"heights are 0 m apart.*--grid"):
+        WorldConfig(surface=surface, grid_m=0.0).make()

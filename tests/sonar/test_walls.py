@@ -13,7 +13,7 @@ import pytest
 from sonar.naive_sonar import range_of, ring_ranges, wrapped
 from surffollow.errors import UsageError
 from surffollow.sonar import candidates as cd
-from surffollow.sonar import fused_pose, wall_pose, walls
+from surffollow.sonar import fused_pose, optimal_pair, wall_pose, walls
 from surffollow.sonar.candidate_ranking import best_candidate
 from surffollow.sonar.ring import SonarRing
 
@@ -272,3 +272,18 @@ def test_one_contradiction_outweighs_two_further_inliers():
     more[[cd.INLIERS, cd.CONTRADICTIONS]] = 4, 1
     fewer[cd.INLIERS] = 2
     assert best_candidate(np.array([more, fewer]), 2) == 1
+
+
+@pytest.mark.parametrize("call", [wall_pose, optimal_pair, fused_pose, walls])
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_deviations_of_another_number_than_ranges_are_refused_with_both(call, count):
+    positions = np.array([(0.0, 0.3), (0.0, 0.0), (0.0, -0.3)])
+    with pytest.raises(UsageError, match=rf"sigma_m has shape \({count},\) for 3 ranges"):
+        call(positions, np.zeros(3), np.ones(3), ALPHA, sigma_m=np.full(count, 0.005))
+
+
+@pytest.mark.parametrize("k", [-1, 0, 1.5, None, "2"])
+def test_a_number_of_walls_that_is_none_is_refused(k):
+    positions = np.array([(0.0, 0.3), (0.0, 0.0), (0.0, -0.3)])
+    with pytest.raises(UsageError, match=r"k is .*; expected the most walls"):
+        walls(positions, np.zeros(3), np.ones(3), ALPHA, k, sigma_m=0.005)

@@ -14,7 +14,7 @@ from surffollow.apps.scan_run import Executed
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import flag_counts
 from surffollow.scan.pictures import draw_relief, new_figure, save_figure
-from surffollow.scan.plan import plan_figures
+from surffollow.scan.plan_summary import plan_figures
 
 
 def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid | None) -> None:

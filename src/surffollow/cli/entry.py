@@ -6,16 +6,17 @@ KeyboardInterrupt would be a traceback there, or would be swallowed by a callbac
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 from collections.abc import Iterator
 
 
 @contextlib.contextmanager
 def ended_at_once_by_interrupts() -> Iterator[None]:
-    """Give SIGINT its default action, which ends the process; where it is ignored or handled it stays so."""
+    """Let SIGINT end the process at once, with 130; where it is ignored or handled it stays so."""
     raises = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if raises:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, lambda *_: os._exit(128 + signal.SIGINT))
     try:
         yield
     finally:

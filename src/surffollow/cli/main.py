@@ -9,7 +9,7 @@ import io
 import os
 import signal
 import sys
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -25,6 +25,8 @@ NO_MEMORY = (
     "the limits of this process leave no memory or no thread: see 'ulimit -v' and 'ulimit -u'; a service "
     "needs 1 GB of address space"
 )
+
+OUR_FAULT = "this is a fault of surffollow, please report it"
 
 # between collections of garbage: a command imports a million objects and keeps them; saves 0.1 s of a start
 OBJECTS_PER_COLLECTION = 100_000
@@ -85,9 +87,11 @@ class LazyGroup(click.Group):
             if ctx.meta[AS_JSON]:
                 click.echo(json_error(text, type(end).__name__, code))
             raise click.exceptions.Exit(code) from None
-        except (MemoryError, RuntimeError, OSError) as error:
-            if lacks_memory(error) and ctx.meta[AS_JSON]:
-                click.echo(json_error(NO_MEMORY, FaultError.__name__, 1))
+        except click.exceptions.Exit:
+            raise
+        except Exception as error:
+            if ctx.meta[AS_JSON]:
+                print_unexpected(error)
             raise
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -144,12 +148,22 @@ def print_error(error: SurffollowError | click.ClickException | ModuleNotFoundEr
     if isinstance(error, ModuleNotFoundError):
         text = missing_library(error)
         if not text:
-            return  # a fault of the program: the traceback says it
+            print_unexpected(error)
+            return
     elif isinstance(error, click.ClickException):  # of options; the names of click's classes change
         kind, text, code = UsageError.__name__, error.format_message(), error.exit_code
     else:
         code = error.exit_code
     click.echo(json_error(text, kind, code))
+
+
+def print_unexpected(error: Exception) -> None:
+    """Print an error that no command expects as one JSON object; not where stdout takes nothing any more."""
+    if lacks_memory(error):
+        click.echo(json_error(NO_MEMORY, FaultError.__name__, 1))
+    elif not (isinstance(error, OSError) and error.errno in (errno.EPIPE, *NO_ROOM)):
+        text = f"{OUR_FAULT}: {type(error).__name__}: {error}"
+        click.echo(json_error(text, FaultError.__name__, 1))
 
 
 def print_includedir(ctx: click.Context, param: click.Parameter, expected: bool) -> None:
@@ -209,12 +223,12 @@ def main(argv: list[str] | None = None) -> Any:
     except ModuleNotFoundError as e:
         remedy = missing_library(e)
         if not remedy:
-            raise
+            end_with_traceback()
         print(f"surffollow: {remedy}", file=sys.stderr)
         sys.exit(1)
     except (MemoryError, RuntimeError) as e:
         if not lacks_memory(e):
-            raise
+            end_with_traceback()
         print(f"surffollow: {NO_MEMORY}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
@@ -226,10 +240,21 @@ def main(argv: list[str] | None = None) -> Any:
             print(f"surffollow: {NO_MEMORY}", file=sys.stderr)
             sys.exit(1)
         if e.errno not in NO_ROOM:
-            raise
+            end_with_traceback()
         throw_output_away()
         print(f"surffollow: cannot write the output: {e.strerror}", file=sys.stderr)
         sys.exit(1)
+    except Exception:
+        end_with_traceback()
+
+
+def end_with_traceback() -> NoReturn:
+    """End at an error that no command expects: its traceback, and that it is a fault of ours."""
+    import traceback
+
+    traceback.print_exc()
+    print(f"surffollow: {OUR_FAULT}, with the traceback above", file=sys.stderr)
+    sys.exit(1)
 
 
 def throw_output_away() -> None:

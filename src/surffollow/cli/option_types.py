@@ -95,22 +95,26 @@ class Amount(click.ParamType):  # type: ignore[type-arg]  # generic only in clic
 
 
 class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
-    """A number with a unit of one dimension, such as `0.1in` or `2.54 mm`; a bare number is in `unit`."""
+    """A number with a unit of one dimension, such as `0.1in` or `2.54 mm`; a bare number is in `unit`.
 
-    def __init__(self, name: str, unit: str) -> None:
-        self.name, self.unit = name, unit
+    `above` : what it has to exceed, in `unit`.
+    """
+
+    def __init__(self, name: str, unit: str, above: float = -math.inf) -> None:
+        self.name, self.unit, self.above = name, unit, above
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """The number in `unit`, or fail with what was expected."""
         from surffollow.errors import UsageError
         from surffollow.units import parse_quantity
 
-        if isinstance(value, float):
-            return value
         try:
-            return parse_quantity(str(value), self.unit, bare=True)
+            number = value if isinstance(value, float) else parse_quantity(str(value), self.unit, bare=True)
         except UsageError as error:
             self.fail(str(error), param, ctx)
+        if not number > self.above:
+            self.fail(f"{number:g} {self.unit}; expected more than {self.above:g}", param, ctx)
+        return number
 
 
 def rate_option(text: str) -> Callable[[Any], Any]:
@@ -122,6 +126,7 @@ def rate_option(text: str) -> Callable[[Any], Any]:
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 SERVICE_NAME = ServiceName()
 LENGTH = Quantity("LENGTH", "m")
+POSITIVE_LENGTH = Quantity("LENGTH", "m", above=0.0)
 SIZE = Amount(
     "SIZE", {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 1024.0, "MiB": 2.0**20, "GiB": 2.0**30}
 )

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from surffollow.cli.facts import print_facts
-from surffollow.cli.option_types import JSON, LENGTH
+from surffollow.cli.option_types import JSON, POSITIVE_LENGTH
 from surffollow.cli.scan_options import EXISTING, OUT
 
 
@@ -105,7 +105,9 @@ def demo_command(
 @click.argument("spots", type=EXISTING)
 @click.option("-o", "--output", required=True, type=OUT, help="Calibration file to write (.json).")
 @click.option("--map", "map_file", type=EXISTING, help="Map of the touched ground; SPOTS then holds x, y, z.")
-@click.option("--grid", type=LENGTH, default="10cm", show_default=True, help="Distance of the matrix' nodes.")
+@click.option(
+    "--grid", type=POSITIVE_LENGTH, default="10cm", show_default=True, help="Distance of the matrix' nodes."
+)
 @click.option(
     "--outside",
     type=click.Choice(["nearest", "unknown"]),

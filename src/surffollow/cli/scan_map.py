@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from surffollow.cli.facts import print_facts
-from surffollow.cli.option_types import JSON, LENGTH
+from surffollow.cli.option_types import JSON, LENGTH, POSITIVE_LENGTH
 from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.progress import progress_bar
 from surffollow.cli.scan_options import EXISTING, OUT, PICTURE, REGION, check_picture
@@ -18,7 +18,7 @@ MIN_CELLS = 3  # rows and columns of a map: fewer have no slope
 @click.argument("depths", nargs=-1, required=True, type=EXISTING)
 @click.option("-o", "--output", required=True, type=OUT, help="Map file to write (.npz, .txt).")
 @click.option("--cameras", type=EXISTING, help="TOML file of cameras by image name.")
-@click.option("--grid", type=LENGTH, default="5mm", show_default=True, help="Side of a cell.")
+@click.option("--grid", type=POSITIVE_LENGTH, default="5mm", show_default=True, help="Side of a cell.")
 @REGION
 @click.option(
     "--filter",
@@ -35,7 +35,7 @@ MIN_CELLS = 3  # rows and columns of a map: fewer have no slope
     show_default=True,
     help="Side of the filter's window [pixels], odd.",
 )
-@click.option("--fill", type=LENGTH, help="Widest hole that is filled.  [default: 10 cells]")
+@click.option("--fill", type=POSITIVE_LENGTH, help="Widest hole that is filled.  [default: 10 cells]")
 @click.option(
     "--support",
     type=LENGTH,
@@ -114,9 +114,9 @@ def map_command(
 @click.command("compose")
 @click.argument("stations", type=EXISTING)
 @click.option("-o", "--output", required=True, type=OUT, help="Map file to write (.npz, .txt).")
-@click.option("--grid", type=LENGTH, help="Side of a cell.  [default: the finest of the stations]")
+@click.option("--grid", type=POSITIVE_LENGTH, help="Side of a cell.  [default: the finest of the stations]")
 @REGION
-@click.option("--fill", type=LENGTH, help="Widest hole that is filled.  [default: 10 cells]")
+@click.option("--fill", type=POSITIVE_LENGTH, help="Widest hole that is filled.  [default: 10 cells]")
 @PICTURE
 @JSON
 def compose_command(

@@ -35,8 +35,8 @@ EXISTING = PlainFile()
 
 ANGLE, SPEED, ACCELERATION = (
     Quantity("ANGLE", "rad"),
-    Quantity("SPEED", "m/s"),
-    Quantity("ACCELERATION", "m/s^2"),
+    Quantity("SPEED", "m/s", above=0.0),
+    Quantity("ACCELERATION", "m/s^2", above=0.0),
 )
 
 

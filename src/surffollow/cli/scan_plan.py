@@ -8,7 +8,7 @@ import sys
 import click
 
 from surffollow.cli.facts import print_facts
-from surffollow.cli.option_types import JSON, LENGTH, Finite
+from surffollow.cli.option_types import JSON, POSITIVE_LENGTH, Finite
 from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.scan_options import (
     ACCELERATION,
@@ -50,9 +50,11 @@ REMEDIES = {
 @LIVE
 @click.option("-o", "--output", required=True, type=OUT, help="Path file to write (.csv).")
 @REGION
-@click.option("--gap", type=LENGTH, required=True, help="Scanning gap between body and ground [m].")
+@click.option("--gap", type=POSITIVE_LENGTH, required=True, help="Scanning gap between body and ground [m].")
 @click.option("--body", default="disc:0.1", show_default=True, help="disc:R, ring:R, rectangle:LxW or point.")
-@click.option("--swath", type=LENGTH, help="Distance of passes.  [default: the body's width across them]")
+@click.option(
+    "--swath", type=POSITIVE_LENGTH, help="Distance of passes.  [default: the body's width across them]"
+)
 @click.option(
     "--scheme",
     type=click.Choice(["lanes", "arcs"]),
@@ -93,7 +95,7 @@ REMEDIES = {
 @click.option(
     "--damping", type=Finite(0.0, 0.9), default=0.04, show_default=True, help="Damping ratio of that mode."
 )
-@click.option("--fill", type=LENGTH, help="Fill holes of the map up to this width first.")
+@click.option("--fill", type=POSITIVE_LENGTH, help="Fill holes of the map up to this width first.")
 @PICTURE
 @JSON
 def plan_command(
@@ -128,8 +130,9 @@ def plan_command(
     from surffollow.scan.holes import fill_holes
     from surffollow.scan.limits import Annulus, WristLimits
     from surffollow.scan.path_file import write_path
-    from surffollow.scan.plan import PlanSettings, plan_figures, plan_scan
+    from surffollow.scan.plan import PlanSettings, plan_scan
     from surffollow.scan.plan_size import refuse_large_plan
+    from surffollow.scan.plan_summary import plan_figures
     from surffollow.scan.shaping import Shaper
     from surffollow.scan.swath import swath_warning
     from surffollow.scan.timing import MotionLimits
@@ -211,11 +214,8 @@ def check_command(
     ground are a warning, too. Warnings do not change the exit code.
     """
     from surffollow.scan.check import check_path
-    from surffollow.scan.checks import positive
     from surffollow.scan.path_file import read_path
 
-    if vertical_acceleration is not None:
-        positive("--vertical-acceleration", vertical_acceleration, "m/s²")
     if len(files) != (2 if live is None else 1):
         raise click.UsageError("give MAP and PATH, or --live NAME and PATH")
     ground = ground_of(files[0] if live is None else None, live, gap_of(read_path(files[-1])))

@@ -137,7 +137,7 @@ def _show(
 ) -> None:
     """Figures, flags, the check and the picture of the plan, on standard error."""
     from surffollow.scan.check import check_path
-    from surffollow.scan.plan import plan_figures
+    from surffollow.scan.plan_summary import plan_figures
 
     for key, value in plan_figures(planned).items():
         if isinstance(value, dict):

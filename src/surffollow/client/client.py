@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -110,7 +111,10 @@ class Client(MapRequests):
         g = (words[index] + 1) & GENERATION or 1  # the bytes there are untrusted
         if FENCED:
             fence()
-        _POST.pack_into(memory, base + (g & (SLOTS - 1)) * _POSE_STRIDE, t_ns, x, y, z, qx, qy, qz, qw)
+        try:
+            _POST.pack_into(memory, base + (g & (SLOTS - 1)) * _POSE_STRIDE, t_ns, x, y, z, qx, qy, qz, qw)
+        except struct.error:  # an array of one number compares like a number; nothing is posted yet
+            raise PoseError(f"a pose is seven numbers (x y z qx qy qz qw), not {pose!r}") from None
         if FENCED:
             fence()
         words[index] = g

@@ -228,4 +228,12 @@ def make_driver(config: Mapping[str, Any], name: str) -> Driver:
         raise ConfigError(f"driver '{kind}': {key_error_text(error)}") from error
     if order.faults:
         driver = FaultyDriver(driver, order.faults, order.fault_seed)
-    return calibrated(driver, load_calibration(order.calibration)) if order.calibration else driver
+    if not order.calibration:
+        return driver
+    found = load_calibration(order.calibration)
+    if not found.tables and not found.mounts and found.latency_s is None:
+        raise ConfigError(
+            f"calibration {order.calibration} has no table, no latency and no mounts; write one with "
+            "`surffollow calibrate`, or take `calibration` out of [driver]"
+        )
+    return calibrated(driver, found)

@@ -50,7 +50,7 @@ _HOME = {
     "median_filter": "image_filters",
     "normal_offset": "offset_surface",
     "parse_body": "body",
-    "plan_figures": "plan",
+    "plan_figures": "plan_summary",
     "plan_scan": "plan",
     "planar_deviation": "deviation",
     "polar_correction": "polar",

@@ -86,7 +86,7 @@ class Arm(AboutBase):
             if finite(name, getattr(self, name)) < 0.0:
                 raise ScanInputError(f"{name} of the arm is {getattr(self, name):g} m; it must be 0 or above")
         for name in ("ground_from_vehicle", "vehicle_from_base", "forearm_from_camera"):
-            object.__setattr__(self, name, rigid_transform(getattr(self, name)))
+            object.__setattr__(self, name, rigid_transform(getattr(self, name), name))
         if self.ground_from_base[2, 2] < 1.0 - 1e-9:
             raise ScanInputError(
                 "the arm's base is tilted against the ground frame; expected a ground frame with the base's z"

@@ -186,22 +186,20 @@ def depth_image(depth_m: ArrayLike, camera: Camera) -> Floats:
     return np.where(inside, z, np.nan)
 
 
-def rigid_transform(matrix: ArrayLike) -> Floats:
-    """A (4, 4) rotation and translation, checked to 1e-6.
+def rigid_transform(matrix: ArrayLike, name: str = "ground_from_camera") -> Floats:
+    """A (4, 4) rotation and translation, checked to 1e-6; errors call it `name`.
 
     Raises
     ------
     ScanInputError
         not finite, no rotation, or another last row than 0 0 0 1
     """
-    m = real_array("ground_from_camera", matrix, (4, 4))
+    m = real_array(name, matrix, (4, 4))
     if not np.isfinite(m).all() or np.abs(m[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
-        raise ScanInputError("ground_from_camera must be finite, with the last row 0 0 0 1")
+        raise ScanInputError(f"{name} must be finite, with the last row 0 0 0 1")
     r = m[:3, :3]
     if np.abs(r @ r.T - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0.0:
-        raise ScanInputError(
-            "the upper left 3 × 3 of ground_from_camera is no rotation (orthonormal, det +1)"
-        )
+        raise ScanInputError(f"the upper left 3 × 3 of {name} is no rotation (orthonormal, det +1)")
     return m
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import ScanFileError
 from surffollow.scan.check_finding import Finding
 
@@ -22,6 +23,7 @@ COLUMNS = (
 )
 MAX_POINTS = 1000  # of a body, of a region: more than any planner writes
 MAX_POSES_BETWEEN = 1_000_000  # poses between rows: more take too long
+MAX_POSES_OF_WAY = 10_000  # of them from one row to the next: a planner's rows are far nearer
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
@@ -78,9 +80,10 @@ def read_rows(path: str | os.PathLike[str]) -> tuple[Facts, dict[str, Array], Po
     Raises
     ------
     ScanFileError
-        the file cannot be read or lacks what is needed to check it
+        the file cannot be read, lacks what is needed to check it, or has a place that is none
     """
     found, at = _read(path)
+    _check_places(path, at)
     whole = [np.isfinite(at[c]).all() and (at[c] == np.round(at[c])).all() for c in ("pass", "flags")]
     if (
         not all(whole)
@@ -96,6 +99,19 @@ def read_rows(path: str | os.PathLike[str]) -> tuple[Facts, dict[str, Array], Po
         at["pass"].astype(np.int64),
     )
     return _facts(path, found), at, poses
+
+
+def _check_places(path: str | os.PathLike[str], at: dict[str, Array]) -> None:
+    """Refuse rows without a place, or with numbers whose squares overflow; findings say of other NaN."""
+    for name in ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"):
+        good = np.abs(at[name]) <= MAX_POSITION_M
+        good |= np.isnan(at[name]) & (name not in ("x_m", "y_m"))
+        if not good.all():
+            k = int(np.argmin(good))
+            raise ScanFileError(
+                f"{path}, row {k + 1}: {name} is {at[name][k]:g}; expected a finite number of at most "
+                f"{MAX_POSITION_M:g}: plan it again"
+            )
 
 
 def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
@@ -163,7 +179,8 @@ def between(path: str | os.PathLike[str], rows: Poses, body: Array, step: float)
     Raises
     ------
     ScanFileError
-        rows are so far apart that more than MAX_POSES_BETWEEN poses would lie between
+        rows are so far apart that more than MAX_POSES_BETWEEN poses would lie between, or more than
+        MAX_POSES_OF_WAY between two
 
     Notes
     -----
@@ -173,9 +190,9 @@ def between(path: str | os.PathLike[str], rows: Poses, body: Array, step: float)
     turn = np.linalg.norm(np.diff(rows.quaternion, axis=0), axis=1)
     # a change dq of a unit quaternion turns by 2 |dq|
     travel = move + 2.0 * turn * float(np.linalg.norm(body, axis=1).max())
-    travel = np.where(np.isfinite(travel), travel, 0.0)
+    travel = np.where(np.isnan(travel), 0.0, travel)
     parts = np.ceil(travel / step - 1e-9)
-    if parts.sum() - len(parts) > MAX_POSES_BETWEEN:
+    if parts.sum() - len(parts) > MAX_POSES_BETWEEN or parts.max(initial=0.0) > MAX_POSES_OF_WAY:
         k = int(travel.argmax())
         raise ScanFileError(
             f"{path}: from row {k + 1} to row {k + 2} a control point moves by {travel[k]:g} m; the rows are "
@@ -210,7 +227,12 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Array
                     facts[key.strip()] = json.loads(value)
                 else:
                     lines.append(line)
-        rows = list(csv.DictReader(lines))
+        reader = csv.DictReader(lines)
+        names = list(reader.fieldnames or [])
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise ValueError(f"two columns are called {', '.join(twice)}")
+        rows = list(reader)
         columns = {name: np.array([float(r[name]) for r in rows]) for name in rows[0]}
     except (OSError, ValueError, TypeError, IndexError, KeyError) as e:
         raise ScanFileError(f"cannot read {path} as a path file: {e!r}") from e

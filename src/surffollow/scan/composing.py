@@ -81,7 +81,7 @@ def composed_stations(
         raise ScanInputError("no station to compose; give at least one map")
     parts, left = [], []
     for grid, pose in stations:
-        m = rigid_transform(pose)
+        m = rigid_transform(pose, "common_from_station")
         x, y = grid.centres_m()
         row, col = np.nonzero(grid.cells == MEASURED)
         local = np.column_stack([x[col], y[row], grid.heights_m[row, col]])

@@ -207,6 +207,12 @@ class Annulus(AboutBase):
     azimuth_min_rad: float = -math.pi
     azimuth_max_rad: float = math.pi
 
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.radius_min_m < self.radius_max_m:
+            raise ScanInputError(
+                f"a reach from {self.radius_min_m:g} to {self.radius_max_m:g} m; expected 0 ≤ least < most"
+            )
+
     def reachable(self, tip_m: Floats, normal: Floats) -> NDArray[np.bool_]:
         """(n,) bool; any attitude is reachable where the tip is.
 

@@ -6,6 +6,7 @@ import os
 from typing import TYPE_CHECKING
 
 from surffollow.errors import ScanInputError
+from surffollow.scan.checks import positive
 from surffollow.scan.grid import TerrainGrid
 
 if TYPE_CHECKING:
@@ -55,9 +56,9 @@ def step_note(quantum_m: float, gap_m: float, name: str) -> str:
     Raises
     ------
     ScanInputError
-        half a step is more than a tenth of the gap
+        half a step is more than a tenth of the gap, or there is no gap
     """
-    part = 0.5 * quantum_m / gap_m
+    part = 0.5 * quantum_m / positive("gap_m", gap_m)
     if part <= WARNED_PART:
         return ""
     text = (

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import ScanFileError
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.attitude_angles import quaternions_of
@@ -134,6 +135,19 @@ def _check_attitudes(path: str | os.PathLike[str], plan: ScanPath, quaternion: F
         )
 
 
+def _check_places(path: str | os.PathLike[str], at: dict[str, Floats]) -> None:
+    """Refuse rows without a place, or beyond the farthest that a service takes; a height may be NaN."""
+    for name in ("x_m", "y_m", "z_m"):
+        good = np.abs(at[name]) <= MAX_POSITION_M
+        good |= np.isnan(at[name]) & (name == "z_m")
+        if not good.all():
+            k = int(np.argmin(good))
+            raise ScanFileError(
+                f"{path}, row {k + 1}: {name} is {at[name][k]:g}; expected a finite number of at most "
+                f"{MAX_POSITION_M:g} m: plan it again"
+            )
+
+
 def read_path(path: str | os.PathLike[str]) -> ScanPath:
     """Read a path file.
 
@@ -151,7 +165,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
     ------
     ScanFileError
         it cannot be read, is of another format, lacks columns or rows, has rows or facts that are not
-        numbers, or a quaternion that is not the attitude of normal and azimuth
+        numbers, a place that is none, or a quaternion that is not the attitude of normal and azimuth
 
     Examples
     --------
@@ -198,6 +212,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
         raise ScanFileError(
             f"{path} has {len(at['t_s'])} rows, its header says {count}; the file is not whole: plan it again"
         )
+    _check_places(path, at)
     if not (np.isfinite(at["flags"]) & np.isfinite(at["pass"])).all():
         raise ScanFileError(f"{path} has a pass or flags that are no whole numbers")
     plan = ScanPath(

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,9 +15,9 @@ from surffollow.scan.clearance import clear_ground, with_clearance
 from surffollow.scan.envelope import Envelope, envelope_of
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
 from surffollow.scan.grid import TerrainGrid
-from surffollow.scan.kept_limits import limited_tilt, refuse_fast, row_motion
+from surffollow.scan.kept_limits import limited_tilt, refuse_fast
 from surffollow.scan.limits import WorkSpace, WristLimits
-from surffollow.scan.path import OUT_OF_REACH, STOP, WRIST_LIMIT, ScanPath, flag_counts
+from surffollow.scan.path import OUT_OF_REACH, STOP, WRIST_LIMIT, ScanPath
 from surffollow.scan.raised_heights import raised_heights
 from surffollow.scan.schemes import arcs, lanes
 from surffollow.scan.serpentine import outline
@@ -31,6 +29,7 @@ from surffollow.units import numbers_text
 
 SCHEMES = ("lanes", "arcs")
 FOLLOWING = ("atf", "reactionary")
+MIN_CELLS = 3  # rows and columns of a map
 STEEPEST = 4.0  # slope of a path from row to row: a steeper chord would cut a step's edge
 
 
@@ -108,7 +107,8 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
     Raises
     ------
     ScanInputError
-        a region beside the map or without known ground, a gap as large as the region, a scheme that is none
+        a region beside the map or without known ground, a gap or cells larger than the region, a map of
+        fewer than 3 × 3 cells, a scheme that is none
 
     Examples
     --------
@@ -125,13 +125,21 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
     radius = float(np.hypot(body[:, 0], body[:, 1]).max())
     turned = settings.work_space is not None
     width = body_width(body, settings.scheme, settings.angle_rad, turned=turned)
-    swath = settings.swath_m if settings.swath_m is not None else width
+    swath = width if settings.swath_m is None else positive("swath_m", settings.swath_m)
     if swath <= 0.0:
-        raise ScanInputError("the body has no width across its passes; give swath_m")
+        raise ScanInputError("the body has no width across its passes; give a swath (swath_m, --swath)")
     sides = np.ptp(corners, axis=0)
     if gap > float(sides.max()):
         raise ScanInputError(
-            f"gap_m {gap:g} m is larger than the region ({sides[0]:g} × {sides[1]:g} m); is the unit metres?"
+            f"the gap of {gap:g} m is larger than the region ({sides[0]:g} × {sides[1]:g} m); "
+            "is the unit metres?"
+        )
+    if min(ground.shape) < MIN_CELLS or ground.grid_m > float(sides.max()):
+        rows, cols = ground.shape
+        raise ScanInputError(
+            f"a map of {rows} × {cols} cells of {ground.grid_m:g} m has no slopes in a region of "
+            f"{sides[0]:g} × {sides[1]:g} m; map {MIN_CELLS} × {MIN_CELLS} cells or more, none larger than "
+            "the region (is its unit metres?)"
         )
     local = _around(ground, corners, gap + radius + 1.5 * swath + _run_up_m(settings))
     envelope = envelope_of(local, gap)
@@ -216,7 +224,7 @@ def _scheme(settings: PlanSettings, swath: float, step: float) -> ScanPath:
     if base is None and settings.work_space is not None:
         base = settings.work_space.base_m
     if base is None:
-        raise ScanInputError("arcs need the place of the arm's base joint; give base_m")
+        raise ScanInputError("arcs need the place of the arm's base joint; give it (base_m, --base)")
     return arcs(settings.region, swath, step_m=step, base_m=base, run_up_m=_run_up_m(settings))
 
 
@@ -231,61 +239,3 @@ def _followed(path: ScanPath, body: Floats, envelope: Envelope, settings: PlanSe
     if settings.following == "reactionary":
         return reactionary(path, body, envelope, settings.wrist)
     raise ScanInputError(f"following is '{settings.following}'; expected one of {', '.join(FOLLOWING)}")
-
-
-def plan_figures(path: ScanPath) -> dict[str, Any]:
-    """Summary of a plan for its operator, before anything moves.
-
-    Parameters
-    ----------
-    path : ScanPath
-        a plan
-
-    Returns
-    -------
-    dict
-        figures by name, in SI units; flags by name
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from surffollow.scan import PlanSettings, TerrainGrid, disc, plan_figures, plan_scan
-    >>> ground = TerrainGrid.of(np.zeros((50, 50)), grid_m=0.02)
-    >>> figures = plan_figures(plan_scan(ground, PlanSettings((0.3, 0.3, 0.7, 0.7), 0.05, disc(0.05))))
-    >>> figures["passes"], round(figures["length_m"], 2), figures["flags"]["lifted"]
-    (4, 1.9, 0)
-    """
-    on = path.passes >= 0
-    known = on & np.isfinite(path.clearance_m)
-    tilt = np.degrees(np.arccos(np.clip(path.normal[:, 2], -1.0, 1.0)))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        motion = row_motion(path)
-    length = float(np.sum(np.linalg.norm(np.diff(path.position_m[on][:, :2], axis=0), axis=1)))
-
-    def of(values: Floats, how: Any) -> float | None:
-        good = values[np.isfinite(values)]
-        return float(how(good)) if good.size else None
-
-    return {
-        "samples": len(path),
-        "passes": int(path.passes.max()) + 1,
-        "duration_s": float(path.t_s[-1]),
-        "length_m": length,
-        "clearance_min_m": of(path.clearance_m[known], np.min),
-        "clearance_mean_m": of(path.clearance_m[known], np.mean),
-        "clearance_max_m": of(path.clearance_m[known], np.max),
-        "lift_max_m": of(path.lift_m[on], np.max),
-        "lift_mean_m": of(path.lift_m[on], np.mean),
-        "tilt_max_deg": of(tilt[on], np.max),
-        "climb_max_mps": of(motion["vertical_mps"], np.max),
-        "climb_max_mps2": of(motion["vertical_mps2"], np.max),
-        "unplanned": int(np.count_nonzero(np.isnan(path.position_m[:, 2]))),
-        "flags": flag_counts(path.flags),
-        "scan_rate_m2ps": _rate(path, length),
-    }
-
-
-def _rate(path: ScanPath, length: float) -> float | None:
-    swath = path.facts.get("swath_m")
-    t = float(path.t_s[-1])
-    return None if swath is None or t <= 0.0 or not math.isfinite(t) else length * float(swath) / t

@@ -48,6 +48,6 @@ def refuse_large_plan(settings: PlanSettings, grid_m: float) -> None:
         what = "--swath" if settings.swath_m is not None else "--body, whose width is the swath"
         raise ScanInputError(
             f"passes {swath:.3g} m apart ({what}) over a region of {length:.3g} m make about {samples:.2g} "
-            f"samples, {step:.3g} m apart; at most {MAX_SAMPLES:.0e}: choose a larger swath or gap, "
-            "or a smaller region"
+            f"samples, {step:.3g} m apart; at most {MAX_SAMPLES:.0e}: choose a smaller region, or a "
+            "larger swath or gap (are map and region in metres?)"
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 
 import numpy as np
@@ -11,6 +10,7 @@ from surffollow.errors import ScanFileError
 from surffollow.scan.checks import Floats, plain_file
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.surface_lookup import sample_surface
+from surffollow.sim.column_file import read_columns
 from surffollow.units import decimal_number, numbers_text
 
 
@@ -30,7 +30,7 @@ def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | 
     Raises
     ------
     ScanFileError
-        a file that cannot be read, a column that is missing, a spot on unknown ground
+        a file that cannot be read, a column that is missing or there twice, a spot on unknown ground
 
     Examples
     --------
@@ -48,12 +48,12 @@ def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | 
     plain_file(path)
     third = "correction_m" if map_file is None else "z_m"
     try:
-        with open(path, encoding="utf-8", newline="") as f:
-            rows = list(csv.DictReader(f))
-        spots = np.array([[decimal_number(r[k]) for k in ("x_m", "y_m", third)] for r in rows], np.float64)
+        _, text = read_columns(path)
+        rows = zip(*(text[k] for k in ("x_m", "y_m", third)))
+        spots = np.array([[decimal_number(v) for v in row] for row in rows], np.float64)
     except KeyError as e:
         raise ScanFileError(f"{path} has no column {e}; expected x_m, y_m and {third}") from e
-    except (OSError, ValueError, TypeError, csv.Error) as e:
+    except (OSError, ValueError) as e:
         raise ScanFileError(f"cannot read the spots {path}: {e}") from e
     spots = spots.reshape(-1, 3)
     if map_file is None:

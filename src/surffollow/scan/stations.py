@@ -75,14 +75,22 @@ def _pose(path: str, name: str, given: Any) -> Floats:
     keys = set(given) if isinstance(given, dict) else set()
     unknown = keys - set(POSE_KEYS)
     whole, parts = "common_from_station" in keys, {"x_m", "y_m"} <= keys
-    if unknown or whole == parts or (whole and len(keys) > 1):
+    fault = ""
+    if unknown:
+        fault = f"unknown {', '.join(sorted(unknown))}"
+    elif whole and len(keys) > 1:
+        fault = f"two poses, common_from_station and {', '.join(sorted(keys - {'common_from_station'}))}"
+    elif not whole and not parts:
+        fault = "no pose"
+    if fault:
         raise ScanInputError(
-            f"{path}, station {name}: {'unknown ' + ', '.join(sorted(unknown)) if unknown else 'no pose'}; "
-            "expected common_from_station, or x_m and y_m with z_m and heading_deg"
+            f"{path}, station {name}: {fault}; expected common_from_station alone, or x_m and y_m with z_m "
+            "and heading_deg"
         )
     try:
         if whole:
-            return rigid_transform(np.array(given["common_from_station"], np.float64))
+            matrix = np.array(given["common_from_station"], np.float64)
+            return rigid_transform(matrix, "common_from_station")
         x, y, z, heading = (float(given.get(k, 0.0)) for k in POSE_KEYS[1:])
     except (TypeError, ValueError) as e:
         raise ScanInputError(f"{path}, station {name}: {e}") from e

@@ -149,7 +149,8 @@ def _raise(
 
 def corner_of(points: Floats, grid_m: float, region: Sequence[float] | None) -> tuple[float, float]:
     """x, y [m] of the corner of the grid that `terrain_map` makes of finite points (n, 3)."""
-    return region_of(region)[:2] if region is not None else _around(points, grid_m)[:2]
+    g = positive("grid_m", grid_m)
+    return region_of(region)[:2] if region is not None else _around(points, g)[:2]
 
 
 def _covered(

@@ -18,6 +18,7 @@ from surffollow.units import numbers_text
 SPACING_M = 1e-3  # of a path's points
 KINDS = ("line", "raster")
 FILES = (".csv", ".npz")
+SAME_M = 1e-9
 MARGIN_M = 0.05  # of a path to the edge of its region
 MAX_LENGTH_M = 20_000.0
 
@@ -147,6 +148,22 @@ def file_path(file: str, speed_mps: float, accel_mps2: float, region: Region | N
             )
     attitudes = None if table.attitude is None else _turned_along(s, along[moves], table.attitude[moves])
     return Path(path.points, path.spacing_m, table.z_m is not None, attitudes, waits)
+
+
+def refuse_outside(region: Region, ground: Region) -> None:
+    """Raise where a path's region [m] reaches beyond the ground [m]: there are no heights to follow.
+
+    Raises
+    ------
+    UsageError
+        it does
+    """
+    low, high = np.array(region[:2]), np.array(region[2:])
+    if (low < np.array(ground[:2]) - SAME_M).any() or (high > np.array(ground[2:]) + SAME_M).any():
+        raise UsageError(
+            f"region {region} m of the path lies outside the ground, {ground} m; choose a region within it, "
+            "or a larger ground (--field, [driver.world] region)"
+        )
 
 
 def _check_inside(file: str, x: NDArray[np.float64], y: NDArray[np.float64], region: Region) -> None:

@@ -8,7 +8,7 @@ import msgspec
 
 from surffollow.errors import ConfigError
 from surffollow.sim.plant import PlantConfig
-from surffollow.sim.raster import FILES, KINDS, Path, file_path, line_path, raster_path
+from surffollow.sim.raster import FILES, KINDS, Path, file_path, line_path, raster_path, refuse_outside
 from surffollow.sim.surfaces import HeightField, Region
 from surffollow.sim.world_surface import WorldConfig
 
@@ -125,6 +125,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def make_path(config: RobotConfig, field: HeightField) -> Path:
     """Lay the path of a configuration over a field."""
     region = config.region if config.region is not None else field.region
+    refuse_outside(region, field.region)
     if config.path not in KINDS:
         return file_path(config.path, config.speed_mps, config.accel_mps2, field.region)
     if config.path == "raster":

@@ -127,11 +127,16 @@ def field_axes(
     Raises
     ------
     RegionError
-        when a side is not positive and finite, or the grid would need more than `MAX_CELLS` heights
+        when a side or the grid is not positive and finite, or it would need more than `MAX_CELLS` heights
     """
     x0, y0, x1, y1 = region
-    if not (np.isfinite(region).all() and x1 > x0 and y1 > y0 and grid_m > 0.0):
-        raise RegionError(f"region {region} with grid {grid_m} m, expected x_min < x_max and y_min < y_max")
+    if not 0.0 < grid_m < np.inf:
+        raise RegionError(
+            f"the ground's heights are {grid_m:g} m apart, expected a finite distance above 0 (--grid, "
+            "[driver.world] grid_m)"
+        )
+    if not (np.isfinite(region).all() and x1 > x0 and y1 > y0):
+        raise RegionError(f"region {region} m, expected finite places, x_min < x_max and y_min < y_max")
     nx = int(np.ceil((x1 - x0) / grid_m - 1e-9)) + 1
     ny = int(np.ceil((y1 - y0) / grid_m - 1e-9)) + 1
     if nx * ny > MAX_CELLS:

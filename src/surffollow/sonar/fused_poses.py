@@ -119,7 +119,7 @@ def walls(
     Raises
     ------
     UsageError
-        shapes, units or the model are wrong, or sigma_m is not positive
+        shapes, units or the model are wrong, sigma_m is not positive, or k is no whole number from 1 on
 
     Examples
     --------
@@ -136,12 +136,14 @@ def walls(
     readings = check_readings(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
     )
+    if not isinstance(k, (int, np.integer)) or k < 1:
+        raise UsageError(f"k is {k!r}; expected the most walls to look for, a whole number from 1 on")
     readings, (x, y) = about_their_mean(readings)
     if not (readings.sigmas_m > 0.0).all():
         raise UsageError("sigma_m must be positive: the readings are weighed by it")
     m = readings.ranges_m.size
     found, rows = room_for_pairs(m)
-    result, owner = np.empty((max(k, 0), SOLUTION)), np.empty(m, np.int64)
+    result, owner = np.empty((k, SOLUTION)), np.empty(m, np.int64)
     n = find_walls(
         readings,
         min_sensors,

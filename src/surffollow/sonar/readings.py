@@ -134,7 +134,12 @@ def check_readings(
         )
     if not max_range_m > 0.0:
         raise UsageError(f"max_range_m is {max_range_m}; expected a positive distance, or inf")
-    sigmas = _copied(np.broadcast_to(np.asarray(sigma_m, np.float64), (m,)))
+    given = np.asarray(sigma_m, np.float64)
+    if given.shape not in ((), (m,)):
+        raise UsageError(
+            f"sigma_m has shape {given.shape} for {m} ranges; expected one number, or one for each range"
+        )
+    sigmas = _copied(np.broadcast_to(given, (m,)))
     if not ((sigmas == 0.0) | (sigmas >= MIN_SIGMA_M) & (sigmas <= MAX_LENGTH_M)).all():
         raise UsageError(f"sigma_m must be 0 (exact readings), or from {MIN_SIGMA_M:g} to {MAX_LENGTH_M:g} m")
     return Readings(positions, headings, ranges, sigmas, float(half_beam_rad), limit, float(max_range_m))
