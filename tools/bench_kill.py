@@ -29,6 +29,7 @@ from surffollow.client import observe  # noqa: E402
 from surffollow.errors import SurffollowError  # noqa: E402
 from surffollow.shm import map_layout as ml  # noqa: E402
 from surffollow.shm.dtypes import numpy_dtype  # noqa: E402
+from surffollow.shm.ending_signals import ended_by_signals  # noqa: E402
 from surffollow.shm.objects import SharedObject  # noqa: E402
 
 HEALTH_S = 90.0
@@ -255,7 +256,7 @@ class Trial:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     start = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
+    with ended_by_signals(), tempfile.TemporaryDirectory() as folder:
         trial = Trial(Path(folder), args.seed, args.pause)
         try:
             trial.begin()

@@ -32,6 +32,7 @@ from surffollow.benchmark.limit import limit_path
 from surffollow.client import attach
 from surffollow.record.replay import replay_file
 from surffollow.service.terminate_child import end_child
+from surffollow.shm.ending_signals import ended_by_signals
 from surffollow.sim.plant import PlantConfig
 
 SURFACES = ("fy91", "fy91-rolling")
@@ -94,7 +95,7 @@ def there_and_back(
     name = f"second-{os.getpid()}"
     x0, x1, y = 0.1, 0.1 + length_m, 0.15
     seconds = 2.0 * (length_m / SPEED_MPS + SPEED_MPS / 0.2) + 0.2
-    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+    with ended_by_signals(), tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         config, log, trace = Path(folder, "c.toml"), Path(folder, "log.mcap"), Path(folder, "trace.npz")
         field = ", ".join(str(v) for v in FIELD)
         config.write_text(

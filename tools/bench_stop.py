@@ -34,6 +34,7 @@ from stop_controller import COMMAND, REPORT  # noqa: E402
 from surffollow.client import Client  # noqa: E402
 from surffollow.client import attach as attach_to  # noqa: E402
 from surffollow.errors import NotRunningError, SurffollowError  # noqa: E402
+from surffollow.shm.ending_signals import ended_by_signals  # noqa: E402
 from surffollow.shm.latch_shape import latch_bytes  # noqa: E402
 from surffollow.sim.robot import RobotCore  # noqa: E402
 from surffollow.sim.robot_config import RobotConfig  # noqa: E402
@@ -212,7 +213,7 @@ def run(trials: int, seed: int, retract_m: float) -> dict[str, Any]:
     rng = random.Random(seed)
     times: dict[str, list[float]] = {k: [] for k in KINDS}
     failed: list[str] = []
-    with tempfile.TemporaryDirectory() as folder:
+    with ended_by_signals(), tempfile.TemporaryDirectory() as folder:
         rig = Rig(Path(folder), retract_m)
         try:
             rig.service.start()

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from surffollow.shm.ending_signals import ended_by_signals
 from surffollow.shm.objects import unlink
 
 COMMAND = (sys.executable, "-m", "surffollow")
@@ -48,7 +49,7 @@ def pinned(folder: Path, text: str) -> Path:
 
 @contextlib.contextmanager
 def service_process(name: str, config: Path) -> Iterator[subprocess.Popen[str]]:
-    """A READY service with this configuration while the block runs.
+    """A READY service with this configuration while the block runs, or until a signal ends the program.
 
     Parameters
     ----------
@@ -57,15 +58,13 @@ def service_process(name: str, config: Path) -> Iterator[subprocess.Popen[str]]:
     config : Path
         configuration file
     """
-    process = subprocess.Popen(
-        [*COMMAND, "start", "--quiet", "--name", name, "--config", str(config)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        await_ready(process)
-        yield process
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(timeout=END_S)
-        remove_objects(name)
+    words = [*COMMAND, "start", "--quiet", "--name", name, "--config", str(config)]
+    with ended_by_signals():
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        try:
+            await_ready(process)
+            yield process
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(timeout=END_S)
+            remove_objects(name)

@@ -18,6 +18,7 @@ from surffollow.arbiter.config import parse_config, reach
 from surffollow.arbiter.effects import apply_event
 from surffollow.arbiter.loop import enforce_deadlines
 from surffollow.arbiter.mailbox import REF_AGE_NS, execute_item
+from surffollow.arbiter.name_owner import purge_arbiter
 from surffollow.arbiter.server import Server
 
 if sys.version_info >= (3, 11):
@@ -101,6 +102,7 @@ class Sum:
         self.server._connections.close()
         self.server._remove_objects()
         self.server._listener.close()
+        purge_arbiter(self.server.config.name)  # the board stays while parts are held
 
 
 @pytest.fixture

@@ -147,14 +147,15 @@ def test_the_axis_model_leads_the_height_only_while_it_is_the_nearer_one(begins_
     params, a, sense, pose = default_params()[0], zeros(AdaptiveState)[0], zeros(SenseState)[0], np.zeros(7)
     for k in range(2):
         push_pose(sense, 10**9 + 40 * k * MS, np.array([0.0, 0.0, 0.1 + 1e-3 * k, 0, 0, 0, 1.0]), 0)
-    reset_axes(params, a, 10**9 + 40 * MS, 0.101, True)
+    a["plant"]["tau_s"] = params["plant_tau_s"]
+    reset_axes(a, 10**9 + 40 * MS, 0.101)
     a["kinematics"]["climb_mps"] = 0.025
     a["clock"]["now_ns"] = 10**9 + 40 * MS
     record_own_setpoint(a, True, 0.099)  # the observed axis is there, 2 mm below the report
     a["plant"]["axis_m"], a["plant"]["axis_mps"], a["plant"]["offset_m"] = 0.099, 0.0, 2e-3
     a["plant"]["scatter_m"], a["kinematics"]["climb_scatter_m"] = 1e-4, 1e-3
     if begins_anew:
-        reset_axes(params, a, 10**9 + 40 * MS, 0.101, True)
+        reset_axes(a, 10**9 + 40 * MS, 0.101)
     predict_pose(params, a, sense, 10**9 + 60 * MS, pose)
     assert pose[2] == pytest.approx(0.1015 if begins_anew else 0.101, abs=1e-6)
 

@@ -37,15 +37,14 @@ def time_constant_s(plant, k):
 
 
 @jit
-def reset_axes(params, adaptive, t_ns, z_m, begins):
+def reset_axes(adaptive, t_ns, z_m):
     """Put all axis models where the tool is.
 
     Parameters
     ----------
-    params, adaptive : records of `Params`, `AdaptiveState` (`plant` updated)
+    adaptive : record of `AdaptiveState` (`plant` updated)
     t_ns : int64   timestamp of the pose report
     z_m : float64  reported height of the tool [m]
-    begins : bool  a start or SFReset: a τ that is configured anew takes effect
     """
     plant = adaptive.plant
     climb_mps = adaptive.kinematics.climb_mps - plant.disturbance_mps
@@ -54,9 +53,6 @@ def reset_axes(params, adaptive, t_ns, z_m, begins):
     plant.axis_m, plant.axis_mps = z_m, climb_mps
     plant.t_ns = t_ns
     plant.offset_m = plant.scatter_m = 0.0
-    if begins and plant.tau_configured_s != params.plant_tau_s:
-        plant.tau_s = plant.tau_configured_s = params.plant_tau_s
-        plant.error_m2[:] = 0.0
 
 
 @jit
@@ -152,10 +148,14 @@ def update_plant(params, adaptive, sense, inputs):
     applied = adaptive.controller.periods > 0 and setpoint.t_ns != 0 and setpoint.in_dryrun == 0
     continues = plant.t_ns < t <= plant.t_ns + axis_model.MAX_AXIS_GAP_NS
     begins = plant.tau_configured_s == 0.0 or plant.begins != 0
+    other_tau = begins and plant.tau_configured_s != params.plant_tau_s
     plant.begins = 0
-    if not applied or not continues or (begins and plant.tau_configured_s != params.plant_tau_s):
+    if other_tau:
+        plant.tau_s = plant.tau_configured_s = params.plant_tau_s
+        plant.error_m2[:] = 0.0
+    if not applied or not continues or other_tau:
         plant.disturbance_mps = 0.0
-        reset_axes(params, adaptive, t, z, begins)
+        reset_axes(adaptive, t, z)
         return
     if inputs.n_ranges <= 0:  # otherwise the caller latches each answer himself
         record_latch(plant, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS, plant.newest_m)
@@ -167,7 +167,7 @@ def update_plant(params, adaptive, sense, inputs):
     if not least < axis_model.MAX_MODEL_ERROR_M:
         suspend_preview(adaptive.preview, t + 500_000_000)
     if not least < 3e-3:  # the robot does not follow: the axes begin at the tool
-        reset_axes(params, adaptive, t, z, False)
+        reset_axes(adaptive, t, z)
         return
     e = z - plant.axis_m
     plant.scatter_m = follow_usual(plant.scatter_m, abs(e - plant.offset_m))
