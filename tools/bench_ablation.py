@@ -62,6 +62,9 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "powers without sharpness": [("model_weights", "(s * s * alpha * alpha)", "1.0")],
     "chance penalty": [("model_weights", "s * s * chance", "0.0")],
     "part of the lead left out": [("setpoint_lead", "lead.left_out[i] = 1.0", "lead.left_out[i] = 0.0")],
+    "recent horizon of the lead": [
+        ("setpoint_lead", "((i, recent_rate), (WAVES + i, longer_rate))", "((WAVES + i, longer_rate),)")
+    ],
     "filter of the weights": [
         ("model_weights", "rate = 1.0 - elementary.exp(", "rate = 1.0 - 0.0 * elementary.exp(")
     ],

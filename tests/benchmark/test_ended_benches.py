@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from running_service import config_text, objects_of, unique_name
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
