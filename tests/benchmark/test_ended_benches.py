@@ -14,12 +14,12 @@ from running_service import config_text, objects_of, unique_name
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 BENCH = """
-import sys, time
+import signal, sys
 from pathlib import Path
 from service_process import service_process
 with service_process(sys.argv[1], Path(sys.argv[2])) as service:
     print(service.pid, flush=True)
-    time.sleep(600.0)
+    signal.pause()
 """
 
 

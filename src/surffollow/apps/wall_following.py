@@ -134,8 +134,8 @@ def run_experiment(experiment: str, *, laps: int = 4, seed: int = 1, config: Bas
     arbitration = Arbitration([c.name for c in clients])
     rows: list[tuple[float, float, float, float, float, int]] = []
     base.run(0.15)  # one round of the ring
-    goal = start[2] + 2.0 * math.pi * laps
-    while base.state[HEADING] < goal - math.radians(SHORT_OF_DEG) and base.time_s < MAX_S:
+    goal = start[2] + 2.0 * math.pi * laps - math.radians(SHORT_OF_DEG)
+    while base.state[HEADING] < goal and base.time_s < MAX_S:
         tick(base, clients, arbitration)
         base.run(base.time_s + TICK_S)
         s = base.state
@@ -146,10 +146,9 @@ def run_experiment(experiment: str, *, laps: int = 4, seed: int = 1, config: Bas
     time_s, x_m, y_m, heading_rad, gap_m, holder = (np.array(c) for c in columns)
     run = Run([c.name for c in clients], time_s, x_m, y_m, heading_rad, gap_m, holder)
     run.turns = find_turns(run)
-    short = base.state[HEADING] < goal - math.radians(SHORT_OF_DEG)
     run.ended = (
         f"the time of {MAX_S:.0f} s was over before lap {laps} was done"
-        if short
+        if base.state[HEADING] < goal
         else f"lap {laps} counts as done {SHORT_OF_DEG:.0f}° before its end"
     )
     return run

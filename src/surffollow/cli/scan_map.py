@@ -11,8 +11,6 @@ from surffollow.cli.progress import progress_bar
 from surffollow.cli.scan_options import EXISTING, OUT, PICTURE, REGION, check_picture
 from surffollow.errors import ScanInputError
 
-MIN_CELLS = 3  # rows and columns of a map: fewer have no slope
-
 
 @click.command("map")
 @click.argument("depths", nargs=-1, required=True, type=EXISTING)
@@ -70,6 +68,7 @@ def map_command(
     from pathlib import Path
 
     from surffollow.scan.cloud_files import CLOUD_SUFFIXES, read_cloud
+    from surffollow.scan.grid import MIN_CELLS
     from surffollow.scan.image_files import read_images
     from surffollow.scan.surveying import SurveySettings, survey
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 UNKNOWN, MEASURED, FILLED = 0, 1, 2
 CELL_NAMES = ("unknown", "measured", "filled")
+MIN_CELLS = 3  # rows and columns of a map: fewer have no slope
 Cells = NDArray[np.uint8]
 
 

@@ -14,7 +14,7 @@ from surffollow.scan.checks import Floats, positive
 from surffollow.scan.clearance import clear_ground, with_clearance
 from surffollow.scan.envelope import Envelope, envelope_of
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
-from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.grid import MIN_CELLS, TerrainGrid
 from surffollow.scan.kept_limits import limited_tilt, refuse_fast
 from surffollow.scan.limits import WorkSpace, WristLimits
 from surffollow.scan.path import OUT_OF_REACH, STOP, WRIST_LIMIT, ScanPath
@@ -29,7 +29,6 @@ from surffollow.units import numbers_text
 
 SCHEMES = ("lanes", "arcs")
 FOLLOWING = ("atf", "reactionary")
-MIN_CELLS = 3  # rows and columns of a map
 STEEPEST = 4.0  # slope of a path from row to row: a steeper chord would cut a step's edge
 
 

@@ -37,8 +37,8 @@ def _ends_already() -> bool:
 def ended_by_signals() -> Iterator[None]:
     """Let SIGTERM and SIGHUP raise `Terminated`, so that everything is tidied up.
 
-    Later ones do nothing while that goes on. They raise again when the exception was lost, in a finalizer
-    for instance.
+    A signal while the program tidies up has no effect. One after an exception that Python ignored, such as
+    in `__del__`, raises again.
     """
 
     def end(number: int, _: object) -> None:

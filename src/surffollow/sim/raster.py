@@ -18,7 +18,7 @@ from surffollow.units import numbers_text
 SPACING_M = 1e-3  # of a path's points
 KINDS = ("line", "raster")
 FILES = (".csv", ".npz")
-SAME_M = 1e-9
+SAME_M = 1e-9  # places are the same: what sums of sides lose
 MARGIN_M = 0.05  # of a path to the edge of its region
 MAX_LENGTH_M = 20_000.0
 
