@@ -14,12 +14,15 @@ from surffollow.map import HeightMap
 
 
 def quiet_run(program: Path, *words: str) -> dict[str, float]:
-    """Output of a controller in a run that a busy machine did not stop; else of the last run."""
+    """Output of a controller in a run that a busy machine did not delay; else of the last of ten runs.
+
+    A delayed tick has no fresh demand: the controller holds its height and brakes, so its way is shorter.
+    """
     for _ in range(10):
         done = subprocess.run([str(program), *words], capture_output=True, text=True, timeout=120.0)
         found = numbers(done.stdout)
-        enough = done.returncode == 0 and found["valid"] > 30 and found["refused"] == 0
-        if enough and found.get("stale", 0) < 50 and found["distance_m"] > 0:
+        undelayed = found.get("worst_age_us", 0.0) < 20_000 and found.get("stale", 0.0) < 50
+        if done.returncode == 0 and undelayed and found["refused"] == 0 and found["readings"] > 40:
             break
     assert done.returncode == 0, done.stderr
     return found
@@ -27,8 +30,8 @@ def quiet_run(program: Path, *words: str) -> dict[str, float]:
 
 def test_c_controller_follows_the_service(service: Service, compile_program: Callable[..., Path]) -> None:
     program = compile_program(ROOT / "examples/c/controller.c", *SANITIZED)
-    found = quiet_run(program, service.name, "0.8")
-    assert found["valid"] > 30  # of 80 ticks
+    found = quiet_run(program, service.name, "1.2")
+    assert found["valid"] > 70  # of 120 ticks
     assert found["refused"] == 0
     assert found["stale"] < 50
     assert found["worst_age_us"] < 20_000
@@ -40,15 +43,15 @@ def test_cpp_controller_follows_and_brings_a_map_home(
     service: Service, compile_program: Callable[..., Path], tmp_path: Path
 ) -> None:
     program = compile_program(ROOT / "examples/cpp/controller.cpp", *SANITIZED, language="C++")
-    found = quiet_run(program, service.name, "0.8", str(tmp_path / "map.txt"))
-    assert found["valid"] > 30  # of 80 ticks
+    found = quiet_run(program, service.name, "1.2", str(tmp_path / "map.txt"))
+    assert found["valid"] > 70  # of 120 ticks
     assert found["refused"] == 0
     assert found["max_demand_m"] == 0.02
     # a tool that began at 0.1 m, over ground that does not answer it: late demands let the tool wander
     assert abs(found["map_height_m"]) < 0.02
     brought = HeightMap.load(tmp_path / "map.txt")
     assert brought.samples > 30
-    assert (brought.counts > 0).sum() >= 3
+    assert (brought.counts > 0).sum() >= 3  # 40 ticks that begin at rest are a way of more than 10 mm
 
 
 def test_examples_say_what_is_wrong_when_no_service_runs(compile_program: Callable[..., Path]) -> None:
