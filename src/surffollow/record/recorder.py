@@ -22,7 +22,7 @@ from surffollow.record.log_kernels import (
 )
 from surffollow.record.recorder_parts import Counts, Feed, LogSource, Rotation
 from surffollow.record.recording_writer import RecordingWriter
-from surffollow.shm.cycle_log import log_copy, log_head
+from surffollow.shm.cycle_log import WORDS, log_copy, log_head
 from surffollow.shm.journal import SNAPSHOT_WORDS
 
 # one copy out of the log; must hold the longest entry
@@ -31,6 +31,16 @@ _COPY_WORDS = max(1 << 15, 2 * SNAPSHOT_WORDS)
 _BATCH_WORDS = 1 << 14
 _ALL = 1 << 62
 _MAX_UNKNOWN = 3
+
+
+def warm_up() -> None:
+    """Compile the kernels of `Recorder.poll` or load them from the cache, on a log without entries.
+
+    Otherwise the first poll waits for whatever another thread compiles, and the log goes around meanwhile.
+    """
+    log, words = np.zeros(WORDS // 8 + 1, np.int64), np.zeros(1, np.int64)
+    log_copy(log.ctypes.data, 1, log_head(log.ctypes.data), words.ctypes.data, words.size)
+    walk_entries(words, 0, _ALL, 1, np.zeros(W_COUNT, np.int64))
 
 
 class Recorder:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from surffollow.errors import UsageError
 from surffollow.record.channel_feed import ChannelFeed
-from surffollow.record.recorder import Recorder
+from surffollow.record.recorder import Recorder, warm_up
 from surffollow.record.recorder_parts import Counts
 from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.service_log import ServiceLog
@@ -114,6 +114,7 @@ def record_service(
     try:
         files = Files(Path(out), log.about(), force, rotate_bytes, rotate_s, keep)
         writer = files.open_next()
+        warm_up()  # before the feed compiles its kernel, which takes seconds
         if rate_hz > 0:
             feed = ChannelFeed(writer, round(1e9 / rate_hz), log)
         recorder = Recorder(log, writer, feed, files if files.rotates else None)
