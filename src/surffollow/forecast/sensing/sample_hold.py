@@ -9,7 +9,6 @@ from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, LONG_GAP_NS, QU
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
-PAUSE_INTERVALS = 5.0  # usual intervals, or seconds if that is more: a longer gap is no interval
 HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample, and no new height
 
 
@@ -91,9 +90,12 @@ def observe_timestamp(adaptive, t_ns):
 
 @jit
 def record_sample(hold, t_ns, range_m):
-    """Hold the newest sample; learn the usual interval, and the count, which is the least change of range."""
+    """Hold the newest sample; learn the usual interval, and the count, which is the least change of range.
+
+    A gap that is longer than five usual intervals, or 5 s if that is more, is no interval.
+    """
     change_m, gap_s = abs(range_m - hold.range_m), (t_ns - hold.t_ns) * 1e-9
-    if hold.t_ns != 0 and gap_s <= PAUSE_INTERVALS * max(hold.interval_s, LONG_GAP_NS * 1e-9):
+    if hold.t_ns != 0 and gap_s <= 5.0 * max(hold.interval_s, LONG_GAP_NS * 1e-9):
         hold.interval_s = follow_interval(hold.interval_s, gap_s)
     if hold.t_ns != 0 and change_m > 0.0:
         hold.changes += 1
