@@ -77,12 +77,11 @@ def observe_timestamp(adaptive, t_ns):
     delay_ns = adaptive.clock.now_ns - t_ns
     if hold.shift_ns > 0 and delay_ns < usual_ns + hold.shift_ns // 2:
         hold.shift_ns = 0
-    t = t_ns + hold.shift_ns
-    hold.backward = hold.backward + 1 if hold.t_ns != 0 and t < hold.t_ns else 0
-    interval_s = adaptive.hold.interval_s
-    overtaken_s = 2.0 * (latency.delay_s - latency.least_s)
-    if hold.backward >= CONFIRMATION_SAMPLES and hold.backward * interval_s > overtaken_s:
-        shift_ns = hold.t_ns + int(hold.backward * interval_s * 1e9) - t_ns
+    goes_back = hold.t_ns != 0 and t_ns + hold.shift_ns < hold.t_ns
+    hold.backward = hold.backward + 1 if goes_back else 0
+    lasts_s, overtaken_s = hold.backward * hold.interval_s, 2.0 * (latency.delay_s - latency.least_s)
+    if hold.backward >= CONFIRMATION_SAMPLES and lasts_s > overtaken_s:
+        shift_ns = hold.t_ns + int(lasts_s * 1e9) - t_ns
         hold.backward = 0
         if delay_ns >= usual_ns + shift_ns // 2:
             hold.shift_ns = shift_ns
