@@ -143,7 +143,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     "adaptive wave numbers": [("estimate", "model_bank.adapt_waves(bank, h_m, r, way)", "pass")],
     "path at rest": [
         ("kinematics", "return GROUND_SPEED_MPS if", "return 1e-3 if"),
-        ("estimate", "GROUND_SPEED_MPS * dt", "1e-3 * dt"),
+        ("estimate", "kinematics.GROUND_SPEED_MPS * dt", "1e-3 * dt"),
     ],
     "decaying slopes": [
         ("model_bank", "((0.006, 8.0), (0.015, 4.0), (0.05, 2.0))", "((1e3, 0.0), (1e3, 0.0), (1e3, 0.0))")

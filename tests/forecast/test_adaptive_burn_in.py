@@ -160,7 +160,7 @@ def test_the_setpoint_of_a_model_leads_by_its_slope_times_the_time_constant():
     rising = (BANK[:, 1] > 0.0) & (np.arange(N_MODELS) < WAVES)
     a["bank"]["slope"][rising] = 0.2
     a["bank"]["wave_number"] = SCALE
-    blend_setpoints(default_params(), a, 0.0, 0.1)
+    blend_setpoints(default_params(), a, 0.0, 0.1, True)
     targets = a["blend"]["axis_m"][:N_MODELS]
     lead_m = 0.1 * 0.04  # speed times τ
     assert targets[rising] == pytest.approx(0.1 + 0.2 * lead_m)
@@ -174,7 +174,7 @@ def test_a_model_leads_less_by_the_part_that_it_leaves_out():
     a["bank"]["slope"] = 0.2
     a["bank"]["wave_number"] = SCALE
     a["lead"]["left_out"][slopes] = 0.25
-    blend_setpoints(default_params(), a, 0.0, 0.1)
+    blend_setpoints(default_params(), a, 0.0, 0.1, True)
     whole_m = 0.2 * 0.1 * 0.04  # slope times speed times τ
     assert a["blend"]["model_m"][slopes] == pytest.approx(0.1 + 0.75 * whole_m)
     assert a["blend"]["model_m"][~slopes] == pytest.approx(0.1 + whole_m)

@@ -59,7 +59,7 @@ def test_ground_may_move_under_a_tool_that_creeps_unless_the_sensor_is_slow(spee
     a, tau_s = planes(3.0), 0.04
     a["kinematics"]["speed_mps"], a["plant"]["tau_s"] = speed_mps, tau_s
     a["hold"]["interval_s"] = interval_s
-    blend_setpoints(default_params(), a, 0.0, 0.1)
+    blend_setpoints(default_params(), a, 0.0, 0.1, True)
     assert a["blend"]["model_m"][2] - 2.1 == pytest.approx(1e-3 + steepest * speed_mps * tau_s, rel=1e-6)
 
 
@@ -137,7 +137,7 @@ def test_between_two_blends_the_setpoint_rises_with_the_ground_in_the_direction_
     a["plant"]["tau_s"], a["estimate"]["slope_power"] = 0.0, 0.01
     a["bank"]["slope"][:WAVES] = np.where(BANK[:WAVES, 0] > 1.0, 0.1, 0.0)
     straight = float(np.mean(BANK[:WAVES, 0] > 1.0))
-    blend_setpoints(default_params(), a, 0.0, 0.1)
+    blend_setpoints(default_params(), a, 0.0, 0.1, True)
     expected_mps = 0.1 * straight * (-0.2 if goes_back else 0.2)
     assert a["blend"]["rate_mps"] == pytest.approx(expected_mps, rel=1e-3)
 

@@ -64,7 +64,7 @@ STAGES = (
     "observe_lookahead",
     "update_health",
     "observe_latch",
-    "target_of_blend",
+    "blend_setpoints",
     "plan_period",
     "target_of_preview",
     "permitted_setpoint",

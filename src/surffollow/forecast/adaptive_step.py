@@ -34,26 +34,6 @@ def distance_ahead(adaptive, sense, age_s):
     return motion.speed_mps * age_s - lead_m
 
 
-@jit_inlined
-def target_of_blend(params, adaptive, ahead_m, standoff_m, renew):
-    """Blended setpoint [m].
-
-    The models are blended when a sample, a pose or a controller period is new. In between the blend
-    continues at the rate that the models predict.
-
-    Parameters
-    ----------
-    params, adaptive : records of `Params`, `AdaptiveState` (updated)
-    ahead_m : float64     distance from `distance_ahead` [m]
-    standoff_m : float64  desired height of the tool above the ground [m]
-    renew : bool          one of these is new
-    """
-    blend = adaptive.blend
-    if renew:
-        return setpoint_blend.blend_setpoints(params, adaptive, ahead_m, standoff_m)
-    return blend.setpoint_m + blend.rate_mps * (adaptive.clock.now_ns - blend.t_ns) * 1e-9
-
-
 @jit
 def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     """Begin a controller period: record the setpoints of the models, plan with the ground ahead.
@@ -154,7 +134,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     ahead = distance_ahead(adaptive, sense, age_s)
     due = controller_clock.period_is_due(adaptive, inputs, adaptive.clock.now_ns)
     renew = due or reported or estimate.sample_ns != sample_ns
-    target = target_of_blend(params, adaptive, ahead, standoff_m, renew)
+    target = setpoint_blend.blend_setpoints(params, adaptive, ahead, standoff_m, renew)
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
     target = target_of_preview(params, adaptive, target, standoff_m)
@@ -186,30 +166,22 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     return status
 
 
-@jit
-def publish_adaptation(params, adaptive, output):
-    """Publish latency, Permitted_Variance, Interval_Size and Range_Size in force.
-
-    A mean over n samples has the variance of a filter with gain 2 / (n + 1).
-    """
-    sample, estimate = adaptive.sample, adaptive.estimate
-    output.latency_s = params.sensor_latency_ns * 1e-9 + adaptive.latency.correction_s
-    output.permitted_variance_m = setpoint_blend.permitted_variance_m(params, adaptive)
-    if estimate.samples == 0:
-        output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
-        return
-    samples = 2.0 / min(max(estimate.gain, 1e-4), 1.0) - 1.0  # a bound on what is published
-    interval = max(min(params.interval_size_m, samples * sample.spacing_m), sample.spacing_m, 1e-6)
-    output.interval_size_m = interval
-    output.range_size = min(max(int(samples * sample.spacing_m / interval + 0.5), 1), layout.INTERVALS // 2)
-
-
 @jit_inlined
 def publish_estimate(params, adaptive, output):
-    """Publish estimate, health and adapted parameters."""
+    """Publish estimate, health and the adapted parameters that are in force.
+
+    Interval_Size and Range_Size: a mean over n samples has the variance of a filter with gain 2 / (n + 1).
+    """
     motion, found, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
-    noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m
-    publish_adaptation(params, adaptive, output)
+    noise_m, scale_m, spacing_m = adaptive.noise.sigma_m, adaptive.gate.scale_m, adaptive.sample.spacing_m
+    output.latency_s = params.sensor_latency_ns * 1e-9 + adaptive.latency.correction_s
+    output.permitted_variance_m = setpoint_blend.permitted_variance_m(params, adaptive)
+    output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
+    if estimate.samples > 0:
+        travel_m = (2.0 / min(max(estimate.gain, 1e-4), 1.0) - 1.0) * spacing_m  # of the mean, bounded
+        interval_m = max(min(params.interval_size_m, travel_m), spacing_m, 1e-6)
+        output.interval_size_m = interval_m
+        output.range_size = min(max(int(travel_m / interval_m + 0.5), 1), layout.INTERVALS // 2)
     output.height_m, output.speed_mps = estimate.height_m, motion.speed_mps
     # a slope along the path needs a direction of travel
     output.slope = 0.0 if kinematics.is_at_rest(motion) else estimate.slope

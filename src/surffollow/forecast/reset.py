@@ -63,15 +63,3 @@ def forget_surface(state):
     withdraw_preview(adaptive.preview)
     adaptive.plant.begins = 1
     adaptive.health.faults = 0
-
-
-@jit
-def begin_mode(params, state):
-    """Begin in another mode as behind SFReset: what it knows is from before it was left.
-
-    Parameters
-    ----------
-    params, state : (1,) records of `Params`, `FollowState` (updated)
-    """
-    state[0].mode = params[0].mode
-    forget_surface(state)

@@ -197,8 +197,9 @@ def follow_step(params, state, inputs, output, scratch):
     No clock, allocation or exception; the same inputs give the same bits. Paper §3.3.3.
     """
     p, s, i, o = params[0], state[0], inputs[0], output[0]
-    if p.mode != s.mode:
-        reset.begin_mode(params, state)
+    if p.mode != s.mode:  # the mode in force knows the surface from before it was left
+        s.mode = p.mode
+        reset.forget_surface(state)
     take_poses(s.sense, i)
     if i.n_ranges > 0:
         take_ranges(p, s.sense, i)

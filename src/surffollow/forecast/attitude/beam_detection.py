@@ -31,20 +31,19 @@ from surffollow.forecast.quantities import (
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
 
-ROUND_SHARE = 0.9  # of the interval: eight beams by turns need 7/8 of it
-
 
 @jit
 def measure_round(params, adaptive):
     """Set the time in which beams that are read by turns each have a sample, LONG_GAP_NS at most.
 
-    It is a part of the shortest interval of a channel: a beam that misses a round is not recent.
+    It is 0.9 of the shortest interval of a channel, of which eight beams by turns need 7/8. A beam that
+    misses a round is not recent.
     """
     shortest_s = LONG_GAP_NS * 1e-9  # before a channel has a second reading, all are of one round
     for c in range(params.n_channels):
         if adaptive.health.interval_s[c] > 0.0:
             shortest_s = min(shortest_s, adaptive.health.interval_s[c])
-    adaptive.beams.round_ns = int(ROUND_SHARE * shortest_s * 1e9)
+    adaptive.beams.round_ns = int(0.9 * shortest_s * 1e9)
 
 
 @jit

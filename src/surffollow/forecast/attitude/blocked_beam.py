@@ -10,14 +10,8 @@ import math
 from surffollow.forecast.attitude.beam_times import is_recent, lateness_ns
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.quantities import LONG_GAP_NS, tolerated_gap_s
+from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
-from surffollow.forecast.sensing.mean_range import (
-    BAND_SIGMAS,
-    RUN_SAMPLES,
-    TEST_BAND_FACTOR,
-    mean_band_m,
-    mean_samples,
-)
 from surffollow.shm.jit import jit
 
 CHANGES = 6  # of others by turns in a second: no chance; a range that jumped needs half of them
@@ -49,13 +43,13 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
     sensor_z_m : float64  height of the sensor at that time [m]
     """
     runs, newest_ns = adaptive.beam_runs, adaptive.beams.t_ns[c]
-    number, sigma = mean_samples(adaptive), beam_noise_m(params, adaptive)
-    deviation, most = range_m - runs.mean_m[c], BAND_SIGMAS * sigma
+    number, sigma = mean_range.mean_samples(adaptive), beam_noise_m(params, adaptive)
+    deviation, most = range_m - runs.mean_m[c], mean_range.BAND_SIGMAS * sigma
     since_s = (t_ns - newest_ns) * 1e-9
     begins = newest_ns == 0 or not 0.0 <= since_s <= tolerated_gap_s(adaptive.hold.interval_s)
     runs.mean_m[c] += min(max(deviation, -most), most) / number
     change = abs(runs.mean_m[c] - runs.range_m[c])
-    if begins or change > TEST_BAND_FACTOR * mean_band_m(sigma, number):
+    if begins or change > mean_range.TEST_BAND_FACTOR * mean_range.mean_band_m(sigma, number):
         if begins or abs(deviation) > most:  # of a step the mean sees a part
             runs.mean_m[c] = range_m
         runs.changes += 1 if runs.changed != c else 0
@@ -67,7 +61,7 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
     elif t_ns - runs.t_ns[c] > LONG_GAP_NS and not is_blocked(params, adaptive, c):
         count_changes_anew(runs, c, t_ns, sensor_z_m)
     runs.samples[c] += 1
-    if number < runs.samples[c] < RUN_SAMPLES:  # the mean of the run is the better known one
+    if number < runs.samples[c] < mean_range.RUN_SAMPLES:  # the mean of the run is the better known one
         runs.range_m[c] += (runs.mean_m[c] - runs.range_m[c]) / runs.samples[c]
     runs.motion_m[c] = max(runs.motion_m[c], abs(sensor_z_m - runs.z_m[c]))
 
@@ -82,7 +76,8 @@ def is_blocked(params, adaptive, c):
     for k in range(params.n_channels):
         late_ns = lateness_ns(beams, c) + lateness_ns(beams, k)
         n += 1 if is_recent(beams, k, beams.t_ns[c], late_ns) else 0
-    least_m = MOTION_BANDS * mean_band_m(beam_noise_m(params, adaptive), mean_samples(adaptive))
+    sigma, number = beam_noise_m(params, adaptive), mean_range.mean_samples(adaptive)
+    least_m = MOTION_BANDS * mean_range.mean_band_m(sigma, number)
     changes = runs.changes - runs.changes_before[c]
     of_three_or_out = n == 3 or (n == 4 and beams.accepted[c] == 0)
     return of_three_or_out and changes >= CHANGES and runs.motion_m[c] > least_m

@@ -22,8 +22,6 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED, ROTATION_RUN, ROTATION_TEST
 from surffollow.shm.layout_follow import RUN_NORMAL
 
-LEAST_COSINE = 0.1  # of a beam's inclination: one that is nearly level says little about the distance
-
 
 @jit_inlined
 def expected_range(params, c):
@@ -31,7 +29,7 @@ def expected_range(params, c):
     at, mounts = 7 * c, params.tool_from_sensor
     _, _, beam_z = to_world(mounts, at, 0.0, 0.0, -1.0)
     distance_m = params.offset_m + mounts[at + 2] - mounts[2]  # of the sensor from the ground, along the axis
-    return distance_m / max(-beam_z, LEAST_COSINE)
+    return distance_m / max(-beam_z, 0.1)  # a beam that is nearly level says little about the distance
 
 
 @jit

@@ -3,23 +3,12 @@
 import math
 
 from surffollow.forecast import elementary
-from surffollow.forecast.estimation import (
-    earlier_bank,
-    innovation_gate,
-    model_bank,
-    model_weights,
-    noise,
-    setpoint_lead,
-)
+from surffollow.forecast.estimation import earlier_bank, innovation_gate, model_bank, model_weights, noise
+from surffollow.forecast.estimation.setpoint_lead import reset_lead
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
-from surffollow.forecast.sensing.kinematics import (
-    GROUND_SPEED_MPS,
-    MIN_DIRECTION_SPEED_MPS,
-    is_at_rest,
-    is_other_frame,
-)
+from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.forecast.terrain.terrain_buffer import sensor_leads, store_ground_under
 from surffollow.shm.jit import jit, jit_inlined
@@ -67,7 +56,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh):
     shadow_axes.reset_shadows(shadow, t_ns, h_m + standoff_m)
     if fresh:
         model_weights.reset_index(weights)
-        setpoint_lead.reset_lead(adaptive.lead)
+        reset_lead(adaptive.lead)
         shadow_axes.reset_effort(shadow)
         noise.initialise_noise(adaptive.noise)
         estimate.slope_power = estimate.quick_slope_power = estimate.kept_slope_power = 0.0
@@ -149,25 +138,26 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     h_m : float64            height of the footprint [m]
     standoff_m : float64     desired height of the tool above the ground [m]
     """
-    gate, bank, estimate, kinematics = adaptive.gate, adaptive.bank, adaptive.estimate, adaptive.kinematics
+    gate, bank, estimate, motion = adaptive.gate, adaptive.bank, adaptive.estimate, adaptive.kinematics
     dt, since_accepted_ns = (t_ns - estimate.sample_ns) * 1e-9, t_ns - estimate.accepted_ns
     unseen = adaptive.health.unseen != 0 or since_accepted_ns > params.loss_timeout_ns
     outdated = travel_m > MAX_TRAVEL_M or unseen
-    if estimate.samples == 0 or outdated or is_other_frame(kinematics, t_ns):
+    if estimate.samples == 0 or outdated or kinematics.is_other_frame(motion, t_ns):
         fresh = gate.slot_likelihood == 0.0
         reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh)
         return True
     adapt = adapts(params, adaptive)  # else index, weights and noise stay as they are
-    travel = max(travel_m, MIN_DIRECTION_SPEED_MPS * dt)  # bank and index are updated at rest, too
+    # bank and index are updated at rest, too
+    travel = max(travel_m, kinematics.MIN_DIRECTION_SPEED_MPS * dt)
     over_ns = t_ns - int(shadow_axes.compared_lag_s(adaptive) * 1e9)
     comparable = shadow_axes.propagate_shadows(params, adaptive, over_ns)
     estimate.sample_ns = t_ns
     estimate.arc_length_m += travel_m if sensor_leads(adaptive) else travel
-    rests = is_at_rest(kinematics)
+    rests = kinematics.is_at_rest(motion)
     if rests != (estimate.rests != 0):
         change_path(adaptive, rests)
     # ground that moves changes at least as much as other ground does over this distance
-    moved_m = max(travel, GROUND_SPEED_MPS * dt)
+    moved_m = max(travel, kinematics.GROUND_SPEED_MPS * dt)
     way = moved_m if rests else travel
     # what a slow sensor sees of ground that moves is too little to follow it
     stretch = 1.0 if is_slow(adaptive) else moved_m / way
@@ -215,6 +205,6 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     if estimate.samples >= CONFIRMATION_SAMPLES:
         estimate.confirmed_ns = t_ns
         # while samples are from before the newest jump of the frame, the tool holds its height
-        if t_ns >= kinematics.jump_ns:
+        if t_ns >= motion.jump_ns:
             estimate.in_frame_ns = t_ns
     return True

@@ -16,15 +16,8 @@
 
 import math
 
+from surffollow.forecast.estimation import pending_samples
 from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
-from surffollow.forecast.estimation.pending_samples import (
-    INNER_GATE,
-    confirm_by,
-    drop_pending,
-    possible_rise_m,
-    reject_pending,
-    reset_pending,
-)
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
@@ -64,7 +57,7 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
     if decision == ACCEPTED:
         if pending.samples >= params.step_samples:  # enough for a step: they were a slot
             gate.slot_likelihood = 1.0
-        drop_pending(pending)
+        pending_samples.drop_pending(pending)
         gate.nearer, gate.unconfirmed_m, gate.withheld_m = 0, 0.0, 0.0
     elif decision < ACCEPTED:  # it waits
         adapt, noisy_s = adapts(params, adaptive), pending.rejected * adaptive.hold.interval_s
@@ -96,15 +89,16 @@ def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
     sparse = min(sparse_m, PLAUSIBLE_SLOPE * usual_way_m) > usual
     # while no slope is known, samples of nearer ground count on their own
     sparse = sparse or (begins and innovation_m > 0.0 and plausible > usual)
-    inner_m = INNER_GATE * (gate.width_m if begins else usual)
+    inner_m = pending_samples.INNER_GATE * (gate.width_m if begins else usual)
     if not sparse and not rises_on and _needs_second_sample(gate, innovation_m, inner_m):
-        reject_pending(adaptive.pending)
+        pending_samples.reject_pending(adaptive.pending)
         return WITHHELD
     if not abs(innovation_m) > gate.width_m:  # NaN too: the cycle then begins without knowledge
         return ACCEPTED
     # a glitch behind a sample that waited is beyond any rise of the ground from the gate on
-    rises_on = rises_on and innovation_m < gate.width_m + possible_rise_m(params, adaptive, travel_m)
-    if not confirm_by(params, adaptive, innovation_m, travel_m, gate.width_m, rises_on):
+    rise_m = pending_samples.possible_rise_m(params, adaptive, travel_m)
+    rises_on = rises_on and innovation_m < gate.width_m + rise_m
+    if not pending_samples.confirm_by(params, adaptive, innovation_m, travel_m, gate.width_m, rises_on):
         return PENDING
     return RESTART if adaptive.pending.samples > samples else STEP
 
@@ -146,7 +140,7 @@ def register_step(params, gate, pending, t_ns):
     gate.step_m = 0.0 if leaves_slot or burst else pending.innovation_m / pending.samples
     gate.step_ns = t_ns
     gate.withheld_m = 0.0
-    drop_pending(pending)
+    pending_samples.drop_pending(pending)
 
 
 @jit
@@ -162,7 +156,7 @@ def _note_nearer(gate, innovation_m, inside):
 @jit
 def note_remainder(params, adaptive, remainder_m):
     """Note what is left of an innovation after the update, if the models follow too slowly [m]."""
-    if remainder_m > INNER_GATE * gate_width(params, adaptive):
+    if remainder_m > pending_samples.INNER_GATE * gate_width(params, adaptive):
         _note_nearer(adaptive.gate, remainder_m, True)
 
 
@@ -181,7 +175,8 @@ def gate_width(params, adaptive):
 @jit
 def is_outlier(params, adaptive, innovation_m, travel_m):
     """Whether a sample with this innovation, so far behind the one before, lies beyond the inner gate."""
-    return abs(innovation_m) > INNER_GATE * max(gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m)
+    width_m = max(gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m)
+    return abs(innovation_m) > pending_samples.INNER_GATE * width_m
 
 
 @jit
@@ -198,6 +193,6 @@ def reset_gate(gate, pending, fresh):
     """Drop pending samples and the last step; scale and likelihood of slots stay but in a fresh start."""
     if fresh:
         gate.scale_m, gate.slot_likelihood = 2.0 * INITIAL_NOISE_M, 1.0
-    reset_pending(pending)
+    pending_samples.reset_pending(pending)
     gate.unconfirmed_m = gate.withheld_m = gate.travel_since_step_m = gate.step_m = 0.0
     gate.nearer = gate.step_ns = 0

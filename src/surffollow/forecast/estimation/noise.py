@@ -7,7 +7,6 @@ from surffollow.shm.jit import jit
 
 MIN_NOISE_M = 50e-6  # a floor, so that no stage trusts a reading without limit
 INITIAL_NOISE_M = 300e-6  # assumed before it is estimated
-MAD_TO_SIGMA = 1.4826 / math.sqrt(6.0)  # of second differences
 
 
 @jit
@@ -30,8 +29,11 @@ def range_noise_m(noise):
 
 @jit
 def _follow(sigma_m, newest_m, recent_m, scored):
-    """Standard deviation by the running median of second differences, which contain no slope [m]."""
-    e = MAD_TO_SIGMA * abs(newest_m - 2.0 * recent_m[0] + recent_m[1])
+    """Standard deviation by the running median of second differences, which contain no slope [m].
+
+    It is 1.4826 times the median of |x| of a normal distribution; that of a second difference is √6 times σ.
+    """
+    e = 1.4826 / math.sqrt(6.0) * abs(newest_m - 2.0 * recent_m[0] + recent_m[1])
     step = min(2.0 / max(scored, 1), QUICK_RATE) * max(sigma_m, 0.1 * MIN_NOISE_M)
     return max(sigma_m + (step if e > sigma_m else -step), 0.0)
 

@@ -80,11 +80,8 @@ def invert_axis(params, tau_s, z_m, v_mps, desired_m, hold_s):
 
     Parameters
     ----------
-    params : record of `Params`
-    tau_s : float64       time constant [s]
-    z_m, v_mps : float64  position [m] and velocity [m/s] now
-    desired_m : float64   the position [m]
-    hold_s : float64      for how long the setpoint is held [s]
+    params, tau_s, z_m, v_mps, hold_s : as in `position_ahead`
+    desired_m : float64  the position [m]
     """
     v_mps = min(max(v_mps, -params.plant_v_max_mps), params.plant_v_max_mps)  # of an estimate it may be more
     v = abs(v_mps) + params.plant_a_max_mps2 * hold_s  # the greatest that a setpoint can give

@@ -9,7 +9,6 @@ report.
 import math
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
-from surffollow.forecast.pose import newest_until
 from surffollow.forecast.quantities import MAX_GAP_NS, follow_interval
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
@@ -26,41 +25,35 @@ def plan_call_s(adaptive):
 
 
 @jit
-def is_synchronised(adaptive, inputs, now_ns):
-    """Whether plans are made ahead, for the next latch. Latches that come much more often need no such care.
+def latch_time(adaptive, inputs, now_ns):
+    """Time at which the controller latches its next demand [ns]; now where plans are not made ahead for it.
 
-    A caller in process, who gives ranges, latches each answer himself, unless he calls more often.
+    Latches that come much more often than the periods of a plan need no such care. A caller in process, who
+    gives ranges, latches each answer himself, unless he calls more often.
     """
     controller, call_s = adaptive.controller, plan_call_s(adaptive)
     interval_s, since_ns = controller.interval_ns * 1e-9, now_ns - controller.latched_ns
     answers_each = inputs.n_ranges > 0 and not 0.0 < call_s < 0.5 * interval_s
     usual = SHORTEST_PERIODS * PERIOD_S < interval_s < LONGEST_PERIODS * PERIOD_S
-    return usual and not answers_each and 0 <= since_ns < MAX_GAP_NS
+    if not usual or answers_each or not 0 <= since_ns < MAX_GAP_NS:
+        return now_ns
+    period_ns = int(controller.interval_ns)
+    return now_ns + period_ns - since_ns % period_ns
 
 
 @jit
 def period_is_due(adaptive, inputs, now_ns):
     """Whether the demand of the next controller period has to be prepared at a time."""
-    controller = adaptive.controller
-    elapsed = now_ns - controller.period_ns
-    if not is_synchronised(adaptive, inputs, now_ns):
+    controller, interval_ns = adaptive.controller, adaptive.controller.interval_ns
+    elapsed, left = now_ns - controller.period_ns, latch_time(adaptive, inputs, now_ns) - now_ns
+    if left == 0:  # plans are not made ahead
         period_ns = PERIOD_S * 1e9 - 1e3  # timestamps may be rounded
         # callers are not punctual
         return elapsed >= period_ns - min(0.1 * period_ns, 0.25 * plan_call_s(adaptive) * 1e9)
     # the jerk-limited setpoint needs 7 ms for 5 mm and 12 ms for 20 mm; periods last 0.6 to 1.4 intervals
-    interval_ns, left = controller.interval_ns, latch_time(adaptive, inputs, now_ns) - now_ns
     early = left <= 0.89 * min(interval_ns, PERIOD_S * 1e9)
     prepares = controller.latch_pending == 0 and early and elapsed >= SHORTEST_PERIODS * interval_ns
     return prepares or elapsed >= (2.0 - SHORTEST_PERIODS) * interval_ns
-
-
-@jit
-def latch_time(adaptive, inputs, now_ns):
-    """Time at which the controller latches its next demand [ns]."""
-    if not is_synchronised(adaptive, inputs, now_ns):
-        return now_ns
-    period = int(adaptive.controller.interval_ns)
-    return now_ns + period - (now_ns - adaptive.controller.latched_ns) % period
 
 
 @jit
@@ -81,15 +74,6 @@ def usual_interval(usual_ns, dt_ns):
 
 
 @jit
-def has_range(inputs):
-    """Whether a caller in process gives any range to this step."""
-    ranges = 0
-    for k in range(inputs.n_ranges):
-        ranges += 1 if math.isfinite(inputs.given_m[k]) else 0
-    return ranges > 0
-
-
-@jit
 def observe_latch(controller, inputs, reported, now_ns):
     """Update the period with a latch, which ends a pending one; whether the answer of this cycle is latched.
 
@@ -99,8 +83,10 @@ def observe_latch(controller, inputs, reported, now_ns):
     reported : bool        there is a new pose report
     now_ns : int64
     """
-    in_process = inputs.n_ranges > 0
-    if in_process and not has_range(inputs):
+    in_process, with_range = inputs.n_ranges > 0, False
+    for k in range(inputs.n_ranges):
+        with_range = with_range or math.isfinite(inputs.given_m[k])
+    if in_process and not with_range:
         controller.asked_ns = now_ns
     asked = now_ns == controller.asked_ns or (reported and now_ns - controller.asked_ns >= MAX_GAP_NS)
     if not (asked if in_process else reported):
@@ -125,12 +111,6 @@ def begin_period(adaptive, inputs):
     controller.latch_pending = 1 if latch_ns > now_ns else 0
     controller.periods += 1
     return latch_ns
-
-
-@jit
-def period_at(controller, t_ns):
-    """Number of the newest period that is latched at a time; the oldest one in the rings if none is."""
-    return newest_until(controller.latch_ns, controller.periods, t_ns)
 
 
 @jit

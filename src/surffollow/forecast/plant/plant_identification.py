@@ -27,7 +27,6 @@ TAU_RATIO = 1.5  # between neighbouring τ
 # gains of the observed axis per report: position, velocity [1/s], disturbance [1/s]. The last is learned over
 # 3 to 4 s, some 100 τ: what is quicker may be the axis itself, which the models describe roughly
 AXIS_GAINS = (0.3, 2.0, 0.1)
-ONE_SIDED = 0.5  # of the mean distance of the reports from the observed axis: their mean with its sign
 
 
 @jit
@@ -182,7 +181,7 @@ def update_plant(params, adaptive, sense, inputs):
     plant.mean_m += SLOW_RATE * (e - plant.mean_m)
     plant.spread_m += SLOW_RATE * (abs(e) - plant.spread_m)
     # between slow reports poses with old timestamps, too, are a sluggish axis: a longer τ is right
-    pushed = not slow and abs(plant.mean_m) > ONE_SIDED * plant.spread_m
+    pushed = not slow and abs(plant.mean_m) > 0.5 * plant.spread_m  # the reports lie on one side
     adapts = learns(params, adaptive) and params.run == RUN_NORMAL and not pushed
     if not adapts or not least < axis_model.MAX_MODEL_ERROR_M:
         return

@@ -3,7 +3,8 @@
 A model that may lead less has two: with its lead and without it (`estimation.setpoint_lead`).
 """
 
-from surffollow.forecast.plant import axis_model, controller_clock
+from surffollow.forecast.plant import axis_model
+from surffollow.forecast.pose import newest_until
 from surffollow.forecast.quantities import QUICK_RATE
 from surffollow.forecast.sensing.kinematics import is_at_rest
 from surffollow.shm.jit import jit, jit_inlined
@@ -58,7 +59,7 @@ def propagate_shadows(params, adaptive, t_ns):
     if controller.periods == 0:
         return True
     if span > axis_model.MAX_AXIS_GAP_NS:
-        slot = controller_clock.period_at(controller, t_ns) & (N_PERIODS - 1)
+        slot = newest_until(controller.latch_ns, controller.periods, t_ns) & (N_PERIODS - 1)
         for i in range(N_AXES):
             z[i], v[i] = shadow.setpoint_m[slot * N_AXES + i], 0.0
         return True
@@ -67,7 +68,7 @@ def propagate_shadows(params, adaptive, t_ns):
     # with a smaller τ the steps would be too long for the axis
     tau, v_max, a_max = max(adaptive.plant.tau_s, 1e-3), params.plant_v_max_mps, params.plant_a_max_mps2
     for j in range(steps):
-        k = controller_clock.period_at(controller, from_ns + (span * j) // steps)
+        k = newest_until(controller.latch_ns, controller.periods, from_ns + (span * j) // steps)
         first = (k & (N_PERIODS - 1)) * N_AXES
         for i in range(N_AXES):
             target = shadow.setpoint_m[first + i]

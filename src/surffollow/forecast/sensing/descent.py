@@ -18,13 +18,7 @@ from surffollow.forecast.sensing.response import SWINGS, answer_s
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
-RETURN_SHARE = 0.1  # of a fall: a tool that has risen by more begins another descent
-FALL_ERRORS = 3.0  # mean errors in a fall over ground that stays: two at most
-LEAST_ERROR = 0.02  # of the stand-off: less takes a descent of fifty errors or more to the ground
-ERROR_MEANS = 8.0  # mean ranges in the mean error: with more a slow sensor is named later
 SPREAD_TAUS = 50.0  # in which the spread of the ranges fades
-STEEPER = 2.0  # than the RMS slope before the descent: ground that was steep may fall as steeply
-TESTED_SHARE = 0.1  # of the stand-off below the lowest ground; and of a spread that an answer can exceed
 
 
 @jit
@@ -64,7 +58,8 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     """
     descent, before_ns, interval_s = adaptive.descent, adaptive.response.t_ns, adaptive.hold.interval_s
     number, band = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
-    share_m = TESTED_SHARE * params.offset_m
+    error_samples = 8.0 * number  # in the mean error: with more a slow sensor is named later
+    share_m = 0.1 * params.offset_m
     if before_ns == 0 or not 0 < t_ns - before_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
@@ -80,20 +75,20 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     # an outlier counts as one of three mean deviations; so does, at first, a range whose noise has grown
     most_m = mean_range.BAND_SIGMAS * max(descent.scatter_m, range_noise_m(adaptive.noise))
     deviation_m = min(max(range_m - descent.range_m, -most_m), most_m)
-    descent.scatter_m += (abs(deviation_m) - descent.scatter_m) / (ERROR_MEANS * number)
+    descent.scatter_m += (abs(deviation_m) - descent.scatter_m) / error_samples
     range_m = descent.range_m + deviation_m
     fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
     descent.range_m += (range_m - descent.range_m) / number
     descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)
     descent.most_m = max(descent.most_m + fade * (descent.range_m - descent.most_m), descent.range_m)
     fall_m, rise_m = descent.top_z_m - descent.low_z_m, tool_z_m - descent.low_z_m
-    if rise_m > min(fall_m, max(MOTION_BANDS * band, RETURN_SHARE * fall_m)):
+    if rise_m > min(fall_m, max(MOTION_BANDS * band, 0.1 * fall_m)):
         begin_descent(adaptive, tool_z_m, share_m)
     elif fall_m > params.offset_m:  # over ground that stays the tool would have touched it
         begin_descent(adaptive, tool_z_m, 2.0 * descent.reach_m)
     descent.low_z_m = min(descent.low_z_m, tool_z_m)
     descent.samples += 1
-    newest = min(float(descent.samples), ERROR_MEANS * number)
+    newest = min(float(descent.samples), error_samples)
     descent.error_m += (range_m - params.offset_m - descent.error_m) / newest
     descent.travel_m += adaptive.kinematics.speed_mps * interval_s
     spread_m = max(0.5 * (descent.most_m - descent.least_m), band)
@@ -117,9 +112,10 @@ def _is_unexplained(params, adaptive, tool_z_m, spread_m):
     """
     descent, error_m = adaptive.descent, adaptive.descent.error_m
     fall_m = descent.top_z_m - tool_z_m
-    least_m = max(mean_range.range_band_m(adaptive), LEAST_ERROR * params.offset_m)
+    # a smaller share of the stand-off takes a descent of fifty errors or more to the ground
+    least_m = max(mean_range.range_band_m(adaptive), 0.02 * params.offset_m)
     known = descent.samples > 2.0 * mean_range.mean_samples(adaptive)
-    long = known and error_m > least_m and fall_m > FALL_ERRORS * error_m
+    long = known and error_m > least_m and fall_m > 3.0 * error_m  # over ground that stays it is two at most
     great = error_m * fall_m > mean_range.ERROR_MOTION * spread_m * params.offset_m
     steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
     return long and great and steep and abs(adaptive.sample.lead_m) < APART_M
@@ -140,10 +136,11 @@ def _is_testable(params, adaptive, t_ns, tool_z_m, spread_m):
     descent, response, estimate = adaptive.descent, adaptive.response, adaptive.estimate
     known = estimate.samples * adaptive.hold.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
     quick = mean_range.mean_samples(adaptive) >= mean_range.MAX_READINGS
-    narrow = spread_m < TESTED_SHARE * params.offset_m
+    narrow = spread_m < 0.1 * params.offset_m
     falls_m = abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, MIN_MEANS)
     has_room = descent.error_m + SWINGS[1] * spread_m + falls_m < params.range_max_m - params.offset_m
-    steeper = descent.top_z_m - tool_z_m > STEEPER * descent.slope * descent.travel_m
+    # ground that was steep before may fall as steeply
+    steeper = descent.top_z_m - tool_z_m > 2.0 * descent.slope * descent.travel_m
     deep = steeper and tool_z_m < descent.floor_z_m - descent.reach_m
     idle = response.phase == RESPONSE_RUN and t_ns >= response.settled_ns
     return known and quick and narrow and has_room and deep and idle

@@ -27,10 +27,9 @@ from surffollow.shm.jit import jit, jit_inlined
 MOTION_SIGMAS = 6.0  # of noise in D, over which a hundred ranges spread
 MOTION_COUNTS = 4.0  # of a coarse sensor in D, which has two of them in half of it
 MOTION_SHARE = 0.05  # of the stand-off in D: at a start the noise is not known, and may be 1 %
-LIFT = 2.0  # times D: the tool is lifted and lowered by it
-STAYS = 0.5  # of the other change at most: that one is twice the motion, this one is noise
-# the same before the tool is held. Over a ramp that begins with the check it is 0.19 at least: an axis with a
-# first-order lag climbs half as fast as the ramp after 0.7 lags, and r + z has then fallen by 0.3 of its way
+# of the change of r − z: a smaller one of r + z holds the tool. Over a ramp that begins with the check it is
+# 0.19 at least: an axis with a first-order lag climbs half as fast as the ramp after 0.7 lags, and r + z has
+# then fallen by 0.3 of its way
 LOOKS_REVERSED = 0.15
 
 
@@ -50,21 +49,21 @@ def _decide(params, adaptive, t_ns, range_m, tool_z_m):
     difference_m, sum_m = frame.most_m[1] - frame.least_m[1], frame.most_m[2] - frame.least_m[2]
     noise_m = max(MOTION_SIGMAS * range_noise_m(adaptive.noise), MOTION_COUNTS * count_m(adaptive.hold))
     least_m = max(noise_m, MOTION_SHARE * params.offset_m)
-    moved = motion_m > least_m
+    moved, lift_m = motion_m > least_m, 2.0 * least_m
     answers = (t_ns - frame.begun_ns) * 1e-9 / answer_s(adaptive, MIN_MEANS)  # times of an answer
     obeyed = answers > 1.0 and abs(tool_z_m - frame.setpoint_m) < least_m
-    if moved and difference_m < STAYS * sum_m:
+    if moved and difference_m < 0.5 * sum_m:  # the sum is twice the motion, the difference is noise
         frame.phase = layout.FRAME_RIGHT
     elif frame.phase == layout.FRAME_HELD:
         if obeyed:
-            frame.setpoint_m = tool_z_m + LIFT * least_m
+            frame.setpoint_m = tool_z_m + lift_m
             _begin_window(frame, layout.FRAME_LIFTED, t_ns, range_m, tool_z_m)
         elif answers > 2.0 or sum_m > least_m:
             _begin_window(frame, layout.FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
     elif frame.phase in (layout.FRAME_LIFTED, layout.FRAME_LOWERED):
-        if moved and obeyed and sum_m < STAYS * difference_m:
+        if moved and obeyed and sum_m < 0.5 * difference_m:
             next_phase = layout.FRAME_LOWERED if frame.phase == layout.FRAME_LIFTED else layout.FRAME_REVERSED
-            frame.setpoint_m -= LIFT * least_m
+            frame.setpoint_m -= lift_m
             _begin_window(frame, next_phase, t_ns, range_m, tool_z_m)
         elif answers > 1.0:
             _begin_window(frame, layout.FRAME_UNKNOWN, t_ns, range_m, tool_z_m)

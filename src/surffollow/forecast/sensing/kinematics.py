@@ -18,18 +18,6 @@ from surffollow.shm.layout_follow import POSES
 GROUND_SPEED_MPS = 0.1
 CLIMB_WINDOW_NS = 30_000_000  # shorter for the vertical velocity, which changes sooner
 MIN_DIRECTION_SPEED_MPS = 0.005  # below, the direction of travel is too uncertain to extrapolate along it
-WAY_SCATTERS = 3.0  # usual distances of a report from its way: a shorter way is noise by chance in 1 of 100
-
-
-@jit
-def report_before_window(sense, last, window_ns, first_ns):
-    """Sequence number of the newest pose report that is at least `window_ns` older than report `last`.
-
-    Reports from before a long gap, or before the time `first_ns`, do not count; that one may be the only one.
-    """
-    t = sense.pose_t_ns[last & (POSES - 1)]
-    k = newest_until(sense.pose_t_ns, sense.pose_count, max(t - window_ns, first_ns))
-    return k + 1 if t - sense.pose_t_ns[k & (POSES - 1)] > LONG_GAP_NS else k
 
 
 @jit
@@ -51,6 +39,18 @@ def velocity_between(sense, first, last):
         return 0.0, 0.0, 0.0, 0.0
     way_x, way_y = sense.pose[7 * b] - sense.pose[7 * a], sense.pose[7 * b + 1] - sense.pose[7 * a + 1]
     return way_x / dt, way_y / dt, (sense.pose[7 * b + 2] - sense.pose[7 * a + 2]) / dt, dt
+
+
+@jit
+def velocity_over(kinematics, sense, last, window_ns):
+    """Mean velocity up to report `last` over a window, or a little longer, as `velocity_between`.
+
+    Reports from before the newest jump, or from before a long gap, do not count.
+    """
+    t = sense.pose_t_ns[last & (POSES - 1)]
+    k = newest_until(sense.pose_t_ns, sense.pose_count, max(t - window_ns, kinematics.jump_ns))
+    first = k + 1 if t - sense.pose_t_ns[k & (POSES - 1)] > LONG_GAP_NS else k
+    return velocity_between(sense, first, last)
 
 
 @jit
@@ -103,6 +103,12 @@ def is_other_frame(kinematics, t_ns):
 
 
 @jit
+def spans_jump(kinematics):
+    """Whether the reported position has jumped since the last accepted sample: that is in another frame."""
+    return kinematics.jump != JUMP_SEEN
+
+
+@jit
 def has_jumped(adaptive):
     """Whether the reported position has jumped within the last second."""
     jump_ns = adaptive.kinematics.jump_ns
@@ -130,15 +136,13 @@ def travel_velocity(kinematics, sense, last):
 
     The longer mean decides on that: the shorter one would be taken where noise makes it too great. It is 0
     where the longer way, too, is hardly more than noise, and where it is so much longer that the tool has
-    just stopped. Reports from before a jump do not count.
+    just stopped.
     """
-    jump_ns, noise_m = kinematics.jump_ns, WAY_SCATTERS * kinematics.noise_m
-    first = report_before_window(sense, last, PAUSE_NS, jump_ns)
-    short_x, short_y, _, dt = velocity_between(sense, first, last)
+    noise_m = 3.0 * kinematics.noise_m  # a way that is as long is noise by chance in 1 of 100
+    short_x, short_y, _, dt = velocity_over(kinematics, sense, last, PAUSE_NS)
     if elementary.hypot(short_x, short_y) * dt >= 2.0 * noise_m:
         return short_x, short_y
-    first = report_before_window(sense, last, 3 * PAUSE_NS, jump_ns)
-    vx, vy, _, long_s = velocity_between(sense, first, last)
+    vx, vy, _, long_s = velocity_over(kinematics, sense, last, 3 * PAUSE_NS)
     speed = elementary.hypot(vx, vy)
     if speed * dt >= noise_m and elementary.hypot(short_x, short_y) * dt >= 0.5 * noise_m:
         return short_x, short_y
@@ -172,7 +176,6 @@ def update_kinematics(params, kinematics, sense, begins):
 @jit
 def update_velocity(kinematics, sense, last):
     """Lateral and vertical velocity of the tool with report `last`; at a jump it stays that before."""
-    jump_ns = kinematics.jump_ns
     vx, vy = travel_velocity(kinematics, sense, last)
     # it starts at twice the speed at which it stops: the path does not change again and again
     least_mps = MIN_DIRECTION_SPEED_MPS * (1.0 if is_at_rest(kinematics) else 0.5)
@@ -180,8 +183,7 @@ def update_velocity(kinematics, sense, last):
     if kinematics.speed_mps < least_mps:
         kinematics.speed_mps = vx = vy = 0.0
     kinematics.velocity_x_mps, kinematics.velocity_y_mps = vx, vy
-    near = report_before_window(sense, last, CLIMB_WINDOW_NS, jump_ns)
-    _, _, kinematics.climb_mps, _ = velocity_between(sense, near, last)
+    _, _, kinematics.climb_mps, _ = velocity_over(kinematics, sense, last, CLIMB_WINDOW_NS)
 
 
 @jit

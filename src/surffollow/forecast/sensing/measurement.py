@@ -10,19 +10,11 @@ from surffollow.forecast.modes import orients
 from surffollow.forecast.plant.plant_identification import height_is_known, predict_pose
 from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import follow_usual
-from surffollow.forecast.sensing import (
-    descent,
-    frame_check,
-    health,
-    kinematics,
-    latency_identification,
-    response,
-    standoff,
-)
+from surffollow.forecast.sensing import descent, frame_check, health, kinematics, response, standoff
+from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
 from surffollow.forecast.sensing.sample_hold import is_slow, new_sample, observe_timestamp, record_sample
 from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_sensing import JUMP_SEEN
 
 
 @jit_inlined
@@ -86,7 +78,7 @@ def enter_sample(params, adaptive, sense, fold, inputs, output, pose, channel, r
         rotation_response.observe_rotation(params, adaptive, t, pose)
     travel = advance_path(params, adaptive, t, x, y, pose)
     if not orients(params) and (at_rest or adaptive.latency.count > 0):
-        latency_identification.observe_height(params, adaptive, sense, t, h, pose)
+        observe_height(params, adaptive, sense, t, h, pose)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
     entered = estimate.update_estimate(params, adaptive, t, travel, h, standoff_m)
     if not at_rest:
@@ -155,7 +147,7 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose, close):
     if not orients(params):  # beams have timestamps of their own, without correction
         t_ns -= int(adaptive.latency.correction_s * 1e9)
     delay_s, interval_s = (adaptive.clock.now_ns - t_ns) * 1e-9, adaptive.hold.interval_s
-    latency_identification.update_delay(adaptive.latency, delay_s, stamped_s, interval_s)
+    update_delay(adaptive.latency, delay_s, stamped_s, interval_s)
     predict_pose(params, adaptive, sense, t_ns, pose)
     was_stuck = response.is_unresponsive(adaptive.response)
     if orients(params):
@@ -188,7 +180,7 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
         sample.tip_x_m, sample.tip_y_m, _ = standoff.axis_ground_point(params, pose, 0)
     travel = motion.speed_mps * (t_ns - adaptive.estimate.sample_ns) * 1e-9 if known else 0.0
     # the tool of a slow sensor may have turned since the sample before
-    if known and is_slow(adaptive) and not spans_jump(adaptive):
+    if known and is_slow(adaptive) and not kinematics.spans_jump(motion):
         travel = elementary.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
     sample.spacing_m = follow_usual(sample.spacing_m, travel)
@@ -205,12 +197,6 @@ def footprint_lead(adaptive, pose, at):
     sample = adaptive.sample
     gap_x, gap_y = sample.x_m - pose[at] - sample.tip_x_m, sample.y_m - pose[at + 1] - sample.tip_y_m
     return kinematics.distance_along(adaptive.kinematics, gap_x, gap_y)
-
-
-@jit
-def spans_jump(adaptive):
-    """Whether the reported position has jumped since the last accepted sample: that is in another frame."""
-    return adaptive.kinematics.jump != JUMP_SEEN
 
 
 @jit
@@ -243,7 +229,7 @@ def follow_heading(adaptive, x_m, y_m):
     if known and is_slow(adaptive):
         way = elementary.hypot(way_x, way_y)
         least_m = kinematics.MIN_DIRECTION_SPEED_MPS * adaptive.hold.interval_s
-        if way <= least_m or spans_jump(adaptive):
+        if way <= least_m or kinematics.spans_jump(motion):
             return
         turned = sample.heading_x != 0.0 or sample.heading_y != 0.0
         heading_x, heading_y, cosine = way_x / way, way_y / way, along / way

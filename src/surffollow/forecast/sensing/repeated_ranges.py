@@ -11,7 +11,6 @@ from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
 # of so many equal ranges in a row: at 250 Hz once in 400 s, and the tool must be about to move just then
 LEAST_CHANCE = 1e-5
-LEAST_REPEATS = 5.0  # in a row, near each other
 REPEAT_RATIO = 2.0  # in usual runs of repeated ranges: a longer one, of a mean at least, is a sign of a fault
 
 
@@ -54,7 +53,7 @@ def count_repeats(adaptive, range_m, tool_z_m):
     known = adaptive.weights.scored > 100 and estimated_range_noise_m(adaptive.noise) > MIN_NOISE_M
     moved_m, led_m = abs(tool_z_m - repeats.tool_z_m), abs(setpoint_m - repeats.setpoint_m)
     # chance makes four of a row near each other now and then; counts of a coarse sensor are all that near
-    often = repeats.count >= max(REPEAT_RATIO * repeats.usual, LEAST_REPEATS)
+    often = repeats.count >= max(REPEAT_RATIO * repeats.usual, 5.0)
     near = often and moved_m > range_band_m(adaptive) and resolution_m < REPEAT_BAND * sigma_m
     held = repeats.equal >= REPEAT_RATIO * repeats.usual_equal and repeats.chance < LEAST_CHANCE
     if known and (near or (held and max(moved_m, led_m) > range_band_m(adaptive))):

@@ -9,7 +9,6 @@ from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, LONG_GAP_NS, QU
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import CONVERSION_WINDOW
 
-PAUSE_INTERVALS = 5.0  # usual intervals, or seconds if that is more: a longer gap is no interval
 HOLD_TOLERANCE_COUNTS = 1.5  # a change of the converter's last bit is no new sample, and no new height
 
 
@@ -78,12 +77,11 @@ def observe_timestamp(adaptive, t_ns):
     delay_ns = adaptive.clock.now_ns - t_ns
     if hold.shift_ns > 0 and delay_ns < usual_ns + hold.shift_ns // 2:
         hold.shift_ns = 0
-    t = t_ns + hold.shift_ns
-    hold.backward = hold.backward + 1 if hold.t_ns != 0 and t < hold.t_ns else 0
-    interval_s = adaptive.hold.interval_s
-    overtaken_s = 2.0 * (latency.delay_s - latency.least_s)
-    if hold.backward >= CONFIRMATION_SAMPLES and hold.backward * interval_s > overtaken_s:
-        shift_ns = hold.t_ns + int(hold.backward * interval_s * 1e9) - t_ns
+    goes_back = hold.t_ns != 0 and t_ns + hold.shift_ns < hold.t_ns
+    hold.backward = hold.backward + 1 if goes_back else 0
+    lasts_s, overtaken_s = hold.backward * hold.interval_s, 2.0 * (latency.delay_s - latency.least_s)
+    if hold.backward >= CONFIRMATION_SAMPLES and lasts_s > overtaken_s:
+        shift_ns = hold.t_ns + int(lasts_s * 1e9) - t_ns
         hold.backward = 0
         if delay_ns >= usual_ns + shift_ns // 2:
             hold.shift_ns = shift_ns
@@ -91,9 +89,12 @@ def observe_timestamp(adaptive, t_ns):
 
 @jit
 def record_sample(hold, t_ns, range_m):
-    """Hold the newest sample; learn the usual interval, and the count, which is the least change of range."""
+    """Hold the newest sample; learn the usual interval, and the count, which is the least change of range.
+
+    A gap that is longer than five usual intervals, or 5 s if that is more, is no interval.
+    """
     change_m, gap_s = abs(range_m - hold.range_m), (t_ns - hold.t_ns) * 1e-9
-    if hold.t_ns != 0 and gap_s <= PAUSE_INTERVALS * max(hold.interval_s, LONG_GAP_NS * 1e-9):
+    if hold.t_ns != 0 and gap_s <= 5.0 * max(hold.interval_s, LONG_GAP_NS * 1e-9):
         hold.interval_s = follow_interval(hold.interval_s, gap_s)
     if hold.t_ns != 0 and change_m > 0.0:
         hold.changes += 1

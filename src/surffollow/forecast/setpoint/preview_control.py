@@ -76,9 +76,8 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`; `preview.ground_m` holds the ground from now on
-    known : int              known periods of ground
-    z_m, v_mps : float64     position and velocity of the axis now
-    standoff_m : float64     desired height of the tool above the ground
+    known, z_m, standoff_m : as in `plan_setpoint`
+    v_mps : float64  velocity of the axis now, with the disturbance [m/s]
     """
     n, plan, ground_m = HORIZON, adaptive.plan, adaptive.preview.ground_m
     limit = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
@@ -131,11 +130,8 @@ def least_speed(params, adaptive, known, z_m, standoff_m, hold):
 
     Parameters
     ----------
-    params, adaptive : records of `Params`, `AdaptiveState`
-    known : int           known periods of ground
-    z_m : float64         position of the axis now [m]
-    standoff_m : float64  desired height of the tool above the ground [m]
-    hold : float64        periods until the next setpoint
+    params, adaptive, known, z_m, standoff_m : as in `plan_setpoint`
+    hold : float64  periods until the next setpoint
     """
     ground_m, brake_mps2 = adaptive.preview.ground_m, ACCELERATION_SHARE * params.plant_a_max_mps2
     late = int(CELL_M / max(adaptive.kinematics.speed_mps * PERIOD_S, CELL_M / HORIZON))
@@ -157,11 +153,10 @@ def lead_back(plan, ground_m, known, z_m, speed_mps, standoff_m):
 
     Parameters
     ----------
-    plan : record of `Plan`  `setpoint_m` updated
+    plan : record of `Plan`   `setpoint_m` updated
     ground_m : float64 array  the ground from now on [m]
-    known : int              known periods of it
-    z_m, speed_mps : float64  tool at the latch time [m, m/s]
-    standoff_m : float64     desired height of the tool above the ground [m]
+    known, z_m, standoff_m : as in `plan_setpoint`
+    speed_mps : float64       velocity of the tool at the latch time [m/s]
     """
     lowest_m, highest_m = ground_m[:known].min(), ground_m[:known].max()
     if z_m < lowest_m + standoff_m and speed_mps <= 0.0:

@@ -8,17 +8,12 @@ from surffollow.forecast.estimation.pending_samples import nearer_wait
 from surffollow.forecast.plant import axis_model, controller_clock, shadow_axes
 from surffollow.forecast.sensing import measurement, unseen_ground
 from surffollow.forecast.sensing.health import missing_s
-from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest, path_speed
+from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest, path_speed, spans_jump
 from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
-from surffollow.shm.layout_adaptive_sensing import JUMP_SEEN
-
-# of the axis' acceleration: with 1 a tool that is pushed stays farther beside its stand-off, with 1.5 an axis
-# that only lags passes it by 0.18 (`test_disturbance.py`, `test_unbraked_axis.py`)
-BRAKING = 1.25
 
 
 @jit
@@ -86,8 +81,8 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
 
 
 @jit_inlined
-def blend_setpoints(params, adaptive, ahead_m, standoff_m):
-    """Blend the models' setpoints.
+def blend_setpoints(params, adaptive, ahead_m, standoff_m, renew):
+    """Blend the models' setpoints, or continue the blend at the rate that the models predict.
 
     The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
     fade over `dropout_travel_m`, a step away from the tool that was confirmed just before is taken back, and
@@ -100,6 +95,7 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
     params, adaptive : records of `Params`, `AdaptiveState` (updated)
     ahead_m : float64     distance beyond the newest footprint [m]; a sensor that leads counts as 0
     standoff_m : float64  desired height of the tool above the ground [m]
+    renew : bool          a sample, a pose or a controller period is new: the models are blended
 
     Returns
     -------
@@ -107,6 +103,8 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m):
     """
     clock, kinematics, gate = adaptive.clock, adaptive.kinematics, adaptive.gate
     estimate, blend = adaptive.estimate, adaptive.blend
+    if not renew:
+        return blend.setpoint_m + blend.rate_mps * (clock.now_ns - blend.t_ns) * 1e-9
     dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS)
     turned = measurement.has_turned_back(adaptive)
     speed_mps = path_speed(kinematics)
@@ -183,13 +181,12 @@ def braking_setpoint(params, adaptive, target_m, tool_z_m, age_s):
 
     Parameters
     ----------
-    params, adaptive : records of `Params`, `AdaptiveState`
-    target_m : float64  the setpoint [m]
-    tool_z_m : float64  height of the tool in the newest pose reported [m]
-    age_s : float64     of that pose when the demand acts [s]
+    params, adaptive, target_m, tool_z_m, age_s : as in `permitted_setpoint`
     """
     tau_s, rate_mps = adaptive.plant.tau_s, adaptive.blend.rate_mps
-    a_max = BRAKING * params.plant_a_max_mps2
+    # with 1 a tool that is pushed stays farther beside its stand-off, with 1.5 an axis that only lags passes
+    # it by 0.18 (`test_disturbance.py`, `test_unbraked_axis.py`)
+    a_max = 1.25 * params.plant_a_max_mps2
     descent_mps = rate_mps - adaptive.kinematics.climb_mps
     lag_m = tau_s * (rate_mps - adaptive.plant.disturbance_mps)
     z_m = tool_z_m - max(descent_mps, 0.0) * age_s
@@ -215,7 +212,7 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     stuck : bool          the range does not respond to the tool's motion
     """
     estimate = adaptive.estimate
-    if adaptive.kinematics.jump != JUMP_SEEN:
+    if spans_jump(adaptive.kinematics):
         return tool_z_m  # heights are in the frame before the jump
     dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS) > 0.0
     few = estimate.samples < quantities.SETTLED_SAMPLES and dropout

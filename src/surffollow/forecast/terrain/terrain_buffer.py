@@ -12,8 +12,7 @@ from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import BUFFER_CELLS
 
 CELL_M = 1e-3  # length of a cell along the path, side of a cell of the terrain memory
-HOLE_CELLS = 8  # longer holes are not bridged …
-FILLED_CELLS = BUFFER_CELLS // 8  # … but for those of the usual travel between two samples, up to so many
+HOLE_CELLS = 8  # longer holes are not bridged, but for those of the usual travel between two samples
 BRIDGED_TRAVELS = 1.5  # usual travels between two samples: a longer hole has lost one
 
 
@@ -59,8 +58,8 @@ def _fill_cell(adaptive, s_m, h_m):
 
 @jit
 def usual_travel_m(adaptive):
-    """Usual travel between two samples, as far as it is bridged [m]."""
-    return min(adaptive.kinematics.speed_mps * adaptive.hold.interval_s, FILLED_CELLS * CELL_M)
+    """Usual travel between two samples, as far as it is bridged: an eighth of the buffer [m]."""
+    return min(adaptive.kinematics.speed_mps * adaptive.hold.interval_s, BUFFER_CELLS // 8 * CELL_M)
 
 
 @jit
