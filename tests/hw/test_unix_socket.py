@@ -112,3 +112,17 @@ def test_a_socket_that_a_dead_service_left_is_replaced_and_nothing_else_is(tmp_p
 def test_a_path_or_user_that_cannot_be_is_refused(wrong: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"path = |no user"):
         made(settings(tmp_path / "x") | wrong)
+
+
+def test_a_socket_whose_name_was_removed_is_made_again(tmp_path: Path) -> None:
+    path = tmp_path / "laser.sock"
+    driver, queue = made(settings(path)), ConversionQueue()
+    driver.start(queue)
+    try:
+        until(lambda: driver.state != WAITING, "the socket")
+        path.unlink()
+        until(lambda: "removed or replaced" in str(driver.faults()), "the fault")
+        until(lambda: send(path, line(0.123)) == "", "the socket again")
+        until(lambda: len(queue) == 1, "a distance")
+    finally:
+        driver.stop()
