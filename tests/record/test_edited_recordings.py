@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -212,3 +213,24 @@ def test_a_message_without_its_head_is_counted_as_lost(make_recording: Callable[
     # WHEN it is read, THEN every reader names it
     assert "a message is cut short" in replay_file(path).damage
     assert "a message is cut short" in recover(path, path.with_name("new.mcap")).damage
+
+
+def test_a_recording_behind_another_one_in_a_file_is_named_and_counted_as_lost(
+    make_recording: Callable[..., Path],
+) -> None:
+    path = make_recording(cycles=600)
+    whole = path.read_bytes()
+    path.write_bytes(whole + whole)
+    report = replay_file(path)
+    assert f"{len(whole)} bytes follow its end and are not read" in report.damage
+    assert f"tail -c +{len(whole) + 1} {path.name}" in report.damage
+    assert report.lost_bytes == recover(path, path.with_name("new.mcap")).lost_bytes == len(whole)
+    # WHEN the remedy is followed, THEN the second one is whole
+    path.write_bytes(path.read_bytes()[len(whole) :])
+    assert replay_file(path).identical
+
+
+def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "run.mcap")
+    with pytest.raises(RecordingError, match="is a pipe; write what comes out of it to a file first"):
+        replay_file(tmp_path / "run.mcap")
