@@ -18,6 +18,7 @@ from surffollow.hw.polled import PolledDriver
 from surffollow.hw.range_settings import RangeSettings
 from surffollow.hw.wire.datagrams import DATAGRAM_BYTES, Datagrams, DatagramSource, bind_socket
 from surffollow.hw.wire.frame_format import Format, Number, reader_of
+from surffollow.shm.received_descriptors import refuse_rights
 
 PATH_BYTES = 107
 _SENDER = struct.Struct("iII")  # struct ucred: pid, uid, gid
@@ -96,6 +97,7 @@ class UnixSource(DatagramSource):
         _remove_unused(path)
         opened = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)  # before anybody can send
+        refuse_rights(opened)  # to drop a descriptor may take as long as its sender likes; Linux 6.16
         bind_socket(opened, str(path))
         try:
             os.chmod(path, 0o666 if self._config.users else 0o600)
