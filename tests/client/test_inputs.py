@@ -411,3 +411,34 @@ def test_a_closed_client_says_that_it_was_closed(service: Service) -> None:
     ):
         with pytest.raises(ClosedError, match="was closed"):
             call()
+
+
+@pytest.mark.parametrize("t_ns", [10**400, -(10**400)])
+def test_a_time_that_no_clock_has_is_a_pose_error(client: Client, t_ns: int) -> None:
+    with pytest.raises(PoseError, match=r"in the future; use CLOCK_MONOTONIC|old; the service takes none"):
+        client.ee_pos(POSE, t_ns)
+
+
+def test_a_region_whose_side_no_float_holds_is_a_region_error(client: Client) -> None:
+    with pytest.raises(RegionError, match="a region is"):
+        client.map_reset((0.0, 0.0, 10**400, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"stale_min_s": NAN}, "stale_min_s must be 0 to"),
+        ({"stale_min_s": INF}, "stale_min_s must be 0 to"),
+        ({"stale_min_s": -1.0}, "stale_min_s must be 0 to"),
+        ({"stale_min_s": "5 ms"}, "stale_min_s must be 0 to"),
+        ({"stale_periods": 0}, "stale_periods must be a whole number of at least 1"),
+        ({"stale_periods": 2.5}, "stale_periods must be a whole number"),
+        ({"owner": 3.5}, "no user 3.5 on this machine; name the service's user"),
+    ],
+)
+def test_settings_of_an_attachment_that_cannot_be_are_refused(
+    service: Service, settings: dict, says: str
+) -> None:
+    for attaching in (attach, observe):
+        with pytest.raises((UsageError, ConfigError), match=says):
+            attaching(service.name, **settings)

@@ -105,3 +105,14 @@ def test_the_first_frames_keep_their_arrivals() -> None:
     for k in range(MIN_INCREMENTS // 2):
         assert clock.stamps([k * PERIOD_NS + 5]) == [k * PERIOD_NS + 5]
     assert clock.stamps([]) == []
+
+
+@pytest.mark.parametrize("hertz", [98, 96, 92, 88, 84, 60, 110])
+def test_a_sensor_that_changes_its_rate_is_stamped_at_the_new_one(hertz: int) -> None:
+    # GIVEN a sensor of 100 Hz WHEN it measures more slowly from one frame on
+    steps_ns = np.concatenate([np.full(1000, 10_000_000), np.full(3000, round(1e9 / hertz))])
+    begin_ns = np.cumsum(steps_ns) + 10**9
+    delay_ns = FRAME_NS + np.random.default_rng(3).uniform(0.0, 0.2e6, len(begin_ns))
+    # THEN its times are right again, and do not fall back by periods
+    late_ns = (stamped(begin_ns, delay_ns) - begin_ns)[2000:]
+    assert np.abs(late_ns).max() < 1e6

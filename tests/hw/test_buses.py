@@ -249,3 +249,106 @@ def test_a_udp_port_in_use_is_reported_until_it_is_free() -> None:
         assert ranges(driver, queue)[0][2] == pytest.approx(0.123)
     finally:
         driver.stop()
+
+
+def test_a_sensor_that_counts_anew_counts_again_after_a_silence_and_a_repeated_datagram_does_not() -> None:
+    form = {"length": 8, "value": {"offset": 4, "type": "f32le"}, "unit": "m"}
+    sequence = {"offset": 0, "type": "u32le"}
+    settings = {"kind": "udp", "port": 0, "sender": "any", "format": form, "sequence": sequence}
+    driver, queue = made({**settings, "silence_s": 0.05, **WINDOW}), ConversionQueue()
+    source = driver._source
+    driver.start(queue)
+    send = datagrams(lambda: source.port)
+    try:
+        # GIVEN a sensor at a high number
+        until(lambda: source.port != 0, "the socket")
+        send(struct.pack("<If", 1_000_000, 0.1))
+        until(lambda: len(queue) == 1, "the first distance")
+        # WHEN one datagram is repeated for longer than a silence, THEN it counts for nothing
+        until(lambda: send(struct.pack("<If", 999, 0.2)) or driver.state == GARBLED, "the fault")
+        rejected = source.rejected
+        until(lambda: send(struct.pack("<If", 999, 0.2)) or source.rejected > rejected + 20, "more of it")
+        assert len(queue) == 1
+        # WHEN the sensor was switched off and on, THEN its second datagram is a distance
+        send(struct.pack("<If", 1, 0.3))
+        send(struct.pack("<If", 2, 0.31))
+        send(struct.pack("<If", 3, 0.32))
+        until(lambda: len(queue) == 3, "distances again")
+        assert [r for _, _, r in ranges(driver, queue)] == pytest.approx([0.1, 0.31, 0.32], abs=1e-6)
+        assert source.missing == 0
+    finally:
+        driver.stop()
+
+
+def test_a_burst_of_late_datagrams_counts_for_nothing_while_newer_ones_come() -> None:
+    form = {"length": 6, "value": {"offset": 2, "type": "f32le"}, "unit": "m"}
+    settings = {"kind": "udp", "port": 0, "sender": "any", "format": form, "sequence": {"offset": 0}}
+    driver, queue = made({**settings, "silence_s": 60.0, **WINDOW}), ConversionQueue()
+    source = driver._source
+    driver.start(queue)
+    send = datagrams(lambda: source.port)
+    try:
+        until(lambda: source.port != 0, "the socket")
+        for number in (100, 50, 51, 52, 53, 101):
+            send(struct.pack("<Hf", number, 0.1))
+        until(lambda: len(queue) == 2, "the newer ones")
+        assert source.rejected == 4
+    finally:
+        driver.stop()
+
+
+def test_a_number_beyond_all_counts_is_no_measurement_and_loses_no_device() -> None:
+    form = {"length": 8, "value": {"offset": 0, "type": "f64le"}, "unit": "m"}
+    driver = made({"kind": "udp", "port": 0, "sender": "any", "format": form, **WINDOW})
+    source, queue = driver._source, ConversionQueue()
+    driver.start(queue)
+    send = datagrams(lambda: source.port)
+    try:
+        until(lambda: source.port != 0, "the socket")
+        for range_m in (1e308, -1e308, 5e-324, float("nan"), 0.1):
+            send(struct.pack("<d", range_m))
+        until(lambda: len(queue) == 5, "all of them")
+        assert [r for _, _, r in ranges(driver, queue)] == [None, None, 0.0, None, pytest.approx(0.1)]
+        assert driver.connections == 1
+    finally:
+        driver.stop()
+
+
+def test_a_flood_of_can_messages_that_give_nothing_does_not_keep_a_driver_from_ending() -> None:
+    library = pytest.importorskip("can")
+    settings = {"kind": "can", "interface": "virtual", "bus": unique_name(), **WINDOW}
+    source = made({**settings, "messages": [{"id": 1, "format": FRAME_FORMAT}]})._source
+    flood = [library.Message(arbitration_id=1, data=b"cut", is_extended_id=False)] * 10_000
+
+    class Bus:
+        """A bus that has a message whenever it is asked."""
+
+        def recv(self, timeout_s: float) -> object:
+            return flood.pop()
+
+    source._bus = Bus()
+    assert source.read(0.05) == []
+    assert len(flood) > 9000
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"latency_s": -0.1}, "latency_s = -0.1, expected 0 to 10 s"),
+        ({"latency_s": float("nan")}, "latency_s = nan"),
+        ({"silence_s": float("inf")}, "silence_s = inf, expected 0.01 to 3600 s"),
+        ({"silence_s": -1.0}, "silence_s = -1.0"),
+        ({"sequence": {"offset": 0, "type": "f32le"}}, "sequence: type 'f32le' is no whole number"),
+    ],
+)
+def test_settings_of_a_datagram_sensor_that_cannot_be_are_refused(wrong: dict, says: str) -> None:
+    form = {"length": 8, "value": {"offset": 4, "type": "f32le"}, "unit": "m"}
+    with pytest.raises(ConfigError, match=says):
+        made({"kind": "udp", "port": 0, "sender": "any", "format": form, **WINDOW, **wrong})
+
+
+def test_two_can_messages_for_one_channel_are_refused() -> None:
+    pytest.importorskip("can")
+    messages = [{"id": 1, "format": FRAME_FORMAT}, {"id": 2, "format": FRAME_FORMAT}]
+    with pytest.raises(ConfigError, match=r"feed the same channel .*give each its own channel"):
+        made({"kind": "can", "interface": "virtual", "bus": "x", "messages": messages, **WINDOW})

@@ -152,6 +152,9 @@ def test_two_hundred_random_faults_never_become_a_wrong_distance(form: Format, w
         ({"length": 8, "value": {"offset": 7}}, "does not lie within"),
         ({"length": 8, "value": {"offset": 0, "type": "u24"}}, "type 'u24' is unknown"),
         ({"length": 8, "checksum": {"kind": "md5", "offset": 7}}, "checksum kind"),
+        ({"length": 8, "limits": [{"offset": 4, "type": "f32le", "mask": 3}]}, "'f32le' is no whole number"),
+        ({"pattern": "(?P<range>.)", "unit": "0 m"}, "every number would be the same distance"),
+        ({"pattern": "(?P<range>.)", "zero_m": float("nan")}, "zero_m = nan"),
     ],
 )
 def test_a_format_that_cannot_be_is_refused_with_what_could(settings: dict, says: str) -> None:
@@ -162,3 +165,20 @@ def test_a_format_that_cannot_be_is_refused_with_what_could(settings: dict, says
 def test_a_format_without_a_unit_is_no_metres() -> None:
     with pytest.raises(ConfigError, match="has no unit"):
         make_finder(msgspec.convert({"pattern": "(?P<range>.)"}, Format))
+
+
+@pytest.mark.parametrize(
+    ("form", "piece"),
+    [
+        ({"pattern": r"R(?P<range>[0-9]+)?"}, b"R"),
+        ({"pattern": r"(?P<range>[0-9]+)(,(?P<channel>[0-9]))?"}, b"7"),
+        ({"pattern": r"(?P<body>(?P<range>[0-9]+))([*](?P<check>..))?", "line_checksum": "xor8"}, b"7"),
+        ({"length": 8, "channel": {"offset": 4, "type": "f32le"}}, struct.pack("<If", 7, np.nan)),
+        ({"length": 8, "channel": {"offset": 4, "type": "f32le"}}, struct.pack("<If", 7, np.inf)),
+    ],
+    ids=["no range", "no channel", "no checksum", "channel NaN", "channel infinite"],
+)
+def test_a_piece_that_lacks_a_part_of_its_format_is_rejected_without_an_exception(
+    form: dict, piece: bytes
+) -> None:
+    assert make_finder(msgspec.convert({"unit": "mm"} | form, Format)).parse(piece) is None

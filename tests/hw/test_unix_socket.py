@@ -16,6 +16,7 @@ from second_user import NOBODY, OtherUser, needs_root
 from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue
 from surffollow.hw.polled import GARBLED, WAITING
+from surffollow.shm.received_descriptors import refuse_rights
 
 
 def settings(path: Path | str, **more: Any) -> dict[str, Any]:
@@ -112,3 +113,37 @@ def test_a_socket_that_a_dead_service_left_is_replaced_and_nothing_else_is(tmp_p
 def test_a_path_or_user_that_cannot_be_is_refused(wrong: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"path = |no user"):
         made(settings(tmp_path / "x") | wrong)
+
+
+def test_a_socket_whose_name_was_removed_is_made_again(tmp_path: Path) -> None:
+    path = tmp_path / "laser.sock"
+    driver, queue = made(settings(path)), ConversionQueue()
+    driver.start(queue)
+    try:
+        until(lambda: driver.state != WAITING, "the socket")
+        path.unlink()
+        until(lambda: "removed or replaced" in str(driver.faults()), "the fault")
+        until(lambda: send(path, line(0.123)) == "", "the socket again")
+        until(lambda: len(queue) == 1, "a distance")
+    finally:
+        driver.stop()
+
+
+def test_a_descriptor_is_refused_to_its_sender_where_the_kernel_can(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        if not refuse_rights(probe):
+            pytest.skip("Linux before 6.16 cannot refuse descriptors")
+    path = tmp_path / "laser.sock"
+    driver, queue = made(settings(path)), ConversionQueue()
+    driver.start(queue)
+    try:
+        until(lambda: driver.state != WAITING, "the socket")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.connect(str(path))
+            with pytest.raises(PermissionError):
+                socket.send_fds(sender, [line(0.2)], [sender.fileno()])
+            sender.send(line(0.123))
+        until(lambda: len(queue) == 1, "a distance")
+        assert ranges(driver, queue)[0][2] == pytest.approx(0.123)
+    finally:
+        driver.stop()

@@ -255,3 +255,38 @@ def test_iio_numbers_keep_every_bit_that_a_conversion_has_room_for(
     for number in (least, -1 if signed else 1, 0, most):
         assert element.value(element.reader.pack(number), 0) == number
         assert -(1 << 23) <= number >> element.dropped < 1 << 23
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "says"),
+    [
+        ("in_voltage_scale", "0", "reports scale 0 and offset 0 of voltage0, .* look at in_voltage0_scale"),
+        ("in_voltage_scale", "inf", "reports scale inf"),
+        ("in_voltage_scale", "none", "in_voltage_scale is 'none', expected a number"),
+        ("in_voltage1_offset", "nan", "offset nan of voltage1"),
+        ("scan_elements/in_voltage0_type", "le:u12/16>>99", "only single numbers"),
+        ("scan_elements/in_voltage0_index", "none", "_index is 'none', expected a whole number"),
+    ],
+)
+def test_a_converter_that_reports_no_usable_numbers_is_refused(
+    adc: FakeIio, file: str, text: str, says: str
+) -> None:
+    (adc.folder / file).write_text(text)
+    with pytest.raises(ConfigError, match=says):
+        iio(adc)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"metres_per_volt": float("nan")},
+        {"metres_at_zero": float("inf")},
+        {"latency_s": -0.1},
+        {"silence_s": float("nan")},
+        {"range_max_m": float("inf")},
+        {"inputs": ["voltage0", "voltage0"]},
+    ],
+)
+def test_settings_of_a_converter_that_cannot_be_are_refused(adc: FakeIio, wrong: dict) -> None:
+    with pytest.raises(ConfigError, match=next(iter(wrong)).replace("range_max_m", "window")):
+        iio(adc, **wrong)

@@ -1,6 +1,8 @@
 """Pause, resume and abort a running scan: an abstract Unix socket that the same user may talk to, and keys.
 
 One request is one word, the answer one JSON object. The kernel removes the socket with the process.
+Any user may connect to an abstract socket: strangers take no room of others, and no descriptor that they
+pass is closed in this process, whose loop leads the arm (`shm.received_descriptors`).
 """
 
 from __future__ import annotations
@@ -17,10 +19,12 @@ from typing import Any
 from surffollow.config.trusted_users import own_user
 from surffollow.errors import BusyError, NotRunningError, RefusedError, ServiceError
 from surffollow.shm.readable import wait_readable
+from surffollow.shm.received_descriptors import Disposal, receive, refuse_rights
 
 WORDS = ("pause", "resume", "abort", "status")
 KEYS = {"p": "pause", "r": "resume", "a": "abort"}
 LONGEST, ANSWER_S = 4096, 5.0
+MOST_SILENT, ACCEPTED_AT_ONCE, BACKLOG = 8, 16, 64
 _CREDENTIALS = struct.Struct("3i")
 
 
@@ -69,21 +73,19 @@ class ControlServer:
         except OSError as e:
             self._socket.close()
             raise BusyError(_holder_text(name)) from e
-        self._socket.listen(8)
+        refuse_rights(self._socket)
+        self._socket.listen(BACKLOG)
         self._socket.setblocking(False)
         self._open: list[socket.socket] = []
+        self._disposal = Disposal()
 
     def words(self, status: dict[str, Any]) -> list[str]:
         """Requests that came since the last call, answered with `status`; wrong ones are refused."""
-        with contextlib.suppress(BlockingIOError):
-            while len(self._open) < 8:
-                connection, _ = self._socket.accept()
-                connection.setblocking(False)
-                self._open.append(connection)
+        self._accept()
         received: list[str] = []
         for connection in list(self._open):
             try:
-                word = connection.recv(64).decode("ascii", "replace")
+                word = receive(connection, 64).decode("ascii", "replace")
             except BlockingIOError:
                 continue
             except OSError:
@@ -92,9 +94,26 @@ class ControlServer:
                 answer = self._answer(connection, word, status, received)
                 with contextlib.suppress(OSError):
                     connection.send(json.dumps(answer).encode())
-            connection.close()
-            self._open.remove(connection)
+            self._end(connection)
+        with contextlib.suppress(OSError):  # no process to be had: tried again
+            self._disposal.look()
         return received
+
+    def _accept(self) -> None:
+        """Take new connections; of those that say nothing the oldest ones of strangers, and of others, go."""
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(0 if self._disposal.full else ACCEPTED_AT_ONCE):
+                connection, _ = self._socket.accept()
+                connection.setblocking(False)
+                self._open.append(connection)
+        for trusted in (True, False):
+            silent = [c for c in self._open if (_user(c) in (own_user(), 0)) == trusted]
+            for connection in silent[:-MOST_SILENT]:
+                self._end(connection)
+
+    def _end(self, connection: socket.socket) -> None:
+        self._open.remove(connection)
+        self._disposal.part(connection)
 
     def _answer(
         self, connection: socket.socket, word: str, status: dict[str, Any], received: list[str]
@@ -109,9 +128,9 @@ class ControlServer:
 
     def close(self) -> None:
         """Give the name back."""
-        for connection in (*self._open, self._socket):
-            connection.close()
-        self._open.clear()
+        for connection in list(self._open):
+            self._end(connection)
+        self._disposal.part_listener(self._socket)
 
 
 def ask(name: str, word: str) -> dict[str, Any]:

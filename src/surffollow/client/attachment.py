@@ -15,7 +15,7 @@ from surffollow.client.map_live import MapReading
 from surffollow.client.service_state import ServiceState
 from surffollow.config.names import check_service_name
 from surffollow.config.trusted_users import trusted_owners
-from surffollow.errors import BlockError, ClosedError, NotReadyError, NotRunningError
+from surffollow.errors import BlockError, ClosedError, NotReadyError, NotRunningError, UsageError
 from surffollow.shm.closing import Closing
 from surffollow.shm.latch_shape import HEAD_BYTES, MAX_TRIES, SLOTS, stride
 from surffollow.shm.layout_follow import Output
@@ -23,6 +23,7 @@ from surffollow.shm.layout_follow import Output
 OUTPUT_STRIDE = stride(Output.SIZE)
 _STAMP = Output.struct_of("t_ns", "t_ns")
 REATTACH_EVERY_NS = 20_000_000
+LONGEST_STALE_S = 86400.0  # for looks at what a service left; a robot's is some periods
 STALE_MAX_NS, STALE_LEAST_PERIODS = 100_000_000, 3
 _attachments: weakref.WeakSet[Attachment] = weakref.WeakSet()
 
@@ -52,8 +53,10 @@ class Attachment(ServiceState, MapReading, Closing):
         stale_min_s: float = 0.005,
         owner: int | str | None = None,
     ) -> None:
-        if stale_periods < 1:
-            raise ValueError(f"stale_periods must be at least 1, not {stale_periods}")
+        if not isinstance(stale_periods, int) or stale_periods < 1:
+            raise UsageError(f"stale_periods must be a whole number of at least 1, not {stale_periods!r}")
+        if not isinstance(stale_min_s, (int, float)) or not 0.0 <= stale_min_s <= LONGEST_STALE_S:
+            raise UsageError(f"stale_min_s must be 0 to {LONGEST_STALE_S:g} s, not {stale_min_s!r}")
         self.name = check_service_name(name)
         self._stale_periods, self._stale_min_ns = stale_periods, int(stale_min_s * 1e9)
         self._next_attach_ns, self._ended, self._closed = 0, False, False

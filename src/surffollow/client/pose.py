@@ -11,6 +11,7 @@ from surffollow.errors import PoseError
 from surffollow.units import format_ns
 
 FUTURE_NS = 1_000_000
+_FARTHEST_NS = 1 << 62
 
 
 def checked_pose(pose: Sequence[float]) -> tuple[float, ...]:
@@ -42,9 +43,10 @@ def checked_stamp(t_ns: object, now_ns: int, oldest_ns: int) -> int:
     PoseError  not a whole number, more than 1 ms ahead, or longer ago than `oldest_ns`
     """
     try:
-        stamp = operator.index(t_ns)  # type: ignore[arg-type]
+        given = operator.index(t_ns)  # type: ignore[arg-type]
     except TypeError:
         raise PoseError(f"t_ns must be a whole number of ns of CLOCK_MONOTONIC, not {t_ns!r}") from None
+    stamp = max(-_FARTHEST_NS, min(given, _FARTHEST_NS))  # a number of any size is refused by its distance
     if stamp > now_ns + FUTURE_NS:
         raise PoseError(f"the pose is stamped {format_ns(stamp - now_ns)} in the future; use CLOCK_MONOTONIC")
     if now_ns - stamp > oldest_ns:

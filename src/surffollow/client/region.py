@@ -20,7 +20,7 @@ def check_region(region: Sequence[float]) -> tuple[float, float, float, float]:
     """
     try:
         x_min, y_min, x_max, y_max = (float(v) for v in region)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise RegionError(f"a region is (x_min, y_min, x_max, y_max) in metres, not {region!r}") from None
     if not all(math.isfinite(v) for v in (x_min, y_min, x_max, y_max)):
         raise RegionError(f"a region must be finite, not {region!r}")

@@ -50,6 +50,8 @@ def user_id(owner: int | str, remedy: str = _NAME_OWNER) -> int:
     """
     if isinstance(owner, int):
         return owner
+    if not isinstance(owner, str):
+        raise ConfigError(f"there is no user {owner!r} on this machine; {remedy}")
     if owner.isascii() and owner.isdigit():
         return int(owner)
     import pwd

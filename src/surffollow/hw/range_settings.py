@@ -4,10 +4,26 @@ from __future__ import annotations
 
 import msgspec
 
+from surffollow.errors import ConfigError
 from surffollow.hw.driver import DriverInfo, Mount
 from surffollow.hw.ranges import metre_info
 
 SILENCE_S = 0.5
+LONGEST_LATENCY_S = 10.0
+
+
+def check_times(latency_s: float, silence_s: float) -> None:
+    """Refuse a latency or a silence that no sensor has.
+
+    Raises
+    ------
+    ConfigError
+        one of them is out of bounds, or no number
+    """
+    if not 0.0 <= latency_s <= LONGEST_LATENCY_S:
+        raise ConfigError(f"latency_s = {latency_s}, expected 0 to {LONGEST_LATENCY_S:g} s")
+    if not 0.01 <= silence_s <= 3600.0:
+        raise ConfigError(f"silence_s = {silence_s}, expected 0.01 to 3600 s")
 
 
 class RangeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -28,7 +44,8 @@ class RangeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     silence_s: float = SILENCE_S
 
     def info(self, name: str, n_channels: int) -> DriverInfo:
-        """The description of a driver with these settings; raises as `metre_info`."""
+        """The description of a driver with these settings; raises as `metre_info` and `check_times`."""
+        check_times(self.latency_s, self.silence_s)
         return metre_info(
             name,
             self.range_min_m,

@@ -99,9 +99,9 @@ def pack_range(info: DriverInfo, channel: int, range_m: float | None) -> int:
     """
     if range_m is None or not math.isfinite(range_m):
         return pack_counts(None, channel)
-    counts = round((range_m - info.zero_m[channel]) / info.scale_m[channel])
-    if -COUNTS_MAX <= counts <= COUNTS_MAX:
-        return pack_counts(counts, channel)
+    counts = (range_m - info.zero_m[channel]) / info.scale_m[channel]
+    if abs(counts) <= COUNTS_MAX:  # infinity is not, and no whole number
+        return pack_counts(round(counts), channel)
     coarse = round(max(-COUNTS_MAX, min(range_m / OUTSIDE_M, COUNTS_MAX)))
     return (FLAG_INVALID | FLAG_OUTSIDE) << 27 | (channel & 7) << 24 | coarse & 0xFFFFFF
 

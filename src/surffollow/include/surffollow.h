@@ -1200,7 +1200,8 @@ typedef struct sf_options {
                             SF_STALE_LEAST_PERIODS of them where that is longer ... */
   int64_t stale_min_ns;  /* ... but never sooner than this */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
-  int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this) */
+  int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this); of all times to
+                            wait INT64_MAX means for ever */
   int64_t owner;         /* number of the user whose service to trust, or SF_OWNER_DEFAULT; whose it is at
                             first it must be ever after */
 } sf_options;
@@ -1273,6 +1274,12 @@ static inline sf_options sf_default_options(void) {
   return o;
 }
 
+/* A time to wait that no clock's sum with it, nor six times it, exceeds; INT64_MAX means "for ever", too. */
+static inline int64_t sf_i_wait_ns(int64_t given_ns) {
+  const int64_t longest_ns = INT64_C(1) << 60; /* 36 years */
+  return given_ns < 0 ? 0 : given_ns < longest_ns ? given_ns : longest_ns;
+}
+
 /* Age at which a demand is stale: docs/reference/protocol.md, "Poses and demands". */
 static inline int64_t sf_i_stale_ns(const sf_options *o, int64_t period_ns) {
   const int64_t n = o->stale_periods, least = n < SF_STALE_LEAST_PERIODS ? n : SF_STALE_LEAST_PERIODS;
@@ -1318,8 +1325,10 @@ static inline void sf_i_forget(sf_object *o) {
 }
 
 static inline void sf_i_close(sf_object *o) {
-  if (o->memory != NULL) munmap(o->memory, o->size);
-  if (o->fd >= 0) close(o->fd);
+  if (o->memory != NULL) {
+    munmap(o->memory, o->size);
+    if (o->fd >= 0) close(o->fd);
+  } /* else all zero, perhaps, of a client that was never attached: 0 is no descriptor of ours */
   sf_i_forget(o);
 }
 
@@ -1527,7 +1536,7 @@ static inline int sf_i_await(int fd, int64_t deadline_ns) {
 /* End the exchange that is under way, if any. */
 static inline void sf_i_stop_asking(sf_client *c) {
   if (c->asking.memory != NULL) munmap(c->asking.memory, SF_SLOT_BYTES);
-  if (c->asking.fd >= 0) close(c->asking.fd);
+  if (c->asking.deadline_ns != 0 && c->asking.fd >= 0) close(c->asking.fd); /* 0: never begun */
   memset(&c->asking, 0, sizeof c->asking);
   c->asking.fd = -1;
 }
@@ -1824,7 +1833,7 @@ static inline void sf_i_detach(sf_client *c, int remove_world) {
 
 /*
  * Release the pose, give back the slot, remove the world block of sf_sim_pose, unmap everything. Also right after a
- * failed attach. The pose is not lost, so SF_STOP_POSE_LOST latches no stop. It waits for the service's answer to the
+ * failed attach, and of a client of zeroes that was never attached. The pose is not lost, so SF_STOP_POSE_LOST latches no stop. It waits for the service's answer to the
  * release, 1 s at most, and not for a service that is silent.
  */
 static inline void sf_detach(sf_client *c) {
@@ -1859,6 +1868,8 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   sf_i_forget(&c->map);
   sf_i_forget(&c->world);
   c->options = options != NULL ? *options : sf_default_options();
+  c->options.ready_wait_ns = sf_i_wait_ns(c->options.ready_wait_ns);
+  c->options.timeout_ns = sf_i_wait_ns(c->options.timeout_ns);
   if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0 || c->options.owner < SF_OWNER_DEFAULT)
     return SF_ERR_ARGUMENT;
   if (name == NULL || !sf_i_name_ok(name)) return SF_ERR_NAME;
@@ -2128,7 +2139,7 @@ static inline int sf_request_poll(sf_client *c, const sf_ticket *ticket) {
 
 /* Wait for the answer; as sf_request_poll, or SF_ERR_TIMEOUT (SF_ERR_NOT_RUNNING: the service is silent, too). */
 static inline int sf_request_wait(sf_client *c, const sf_ticket *ticket, int64_t timeout_ns) {
-  const int64_t deadline = sf_now_ns() + timeout_ns;
+  const int64_t deadline = sf_now_ns() + sf_i_wait_ns(timeout_ns);
   int64_t pause_ns = 50000;
   for (;;) {
     const int result = sf_request_poll(c, ticket);
@@ -2978,7 +2989,7 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     c->access_depth++;
     return SF_OK;
   }
-  const int64_t deadline = sf_now_ns() + timeout_ns;
+  const int64_t deadline = sf_now_ns() + sf_i_wait_ns(timeout_ns);
   for (;;) { /* a service that stands still may go on; one that ended has no map to give */
     const int64_t now = sf_now_ns();
     const int alive = sf_alive(c);

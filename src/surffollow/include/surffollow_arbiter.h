@@ -644,7 +644,7 @@ static inline int sfa_i_enter(sfa_client *a) {
 
 /* End: everything that this client holds or waits for is given up. Its names and the server's user stay for sfa_reattach. */
 static inline void sfa_detach(sfa_client *a) {
-  if (a->sock >= 0) close(a->sock);
+  if (a->sock >= 0 && a->name[0] != '\0') close(a->sock); /* no name: all zero, it was never attached */
   if (a->mailbox != NULL) munmap(a->mailbox, SFA_MAILBOX_BYTES);
   if (a->board != NULL) munmap(a->board, a->board_bytes);
   if (a->ours != NULL) munmap(a->ours, SF_PAGE);
@@ -737,7 +737,7 @@ static inline int sfa_attach(sfa_client *a, const char *name, const char *client
 /*
  * After the server's end: detach, and attach under the same names, to a server of the same user only.
  * It waits like sfa_attach_owner: a control loop gives timeout_ms 0. Results as of sfa_attach_owner; after an error it
- * may be called again. Every token is void: ask again.
+ * may be called again: until then the client holds nothing, and each call says so. Every token is void: ask again.
  */
 static inline int sfa_reattach(sfa_client *a, int timeout_ms) {
   const int64_t owner = a->owner;
@@ -754,19 +754,24 @@ static inline const sfa_resource_config *sfa_i_config(const sfa_client *a, int64
                  a->board + SFA_CONFIG_AT + SF_CAST(size_t, resource) * sizeof(sfa_resource_config));
 }
 
-/* Number of a resource, or -EINVAL. */
+/* Number of a resource, -EINVAL: there is none of that name, or -ENOENT: the client is not attached. */
 static inline int sfa_resource(const sfa_client *a, const char *name) {
   const sfa_board_header *h = SF_VIEW(const sfa_board_header *, a->board);
   int64_t r;
+  if (a->board == NULL) return -ENOENT;
+  if (name == NULL) return -EINVAL;
   for (r = 0; r < h->n_resources && r < SFA_RESOURCES; r++) {
     if (strncmp(sfa_i_config(a, r)->name, name, sizeof sfa_i_config(a, r)->name) == 0) return SF_CAST(int, r);
   }
   return -EINVAL;
 }
 
+/* Whether this client is attached, and not a forked child's copy of its parent's. */
+static inline int sfa_i_is_ours(const sfa_client *a) { return a->board != NULL && *a->ours != 0; }
+
 /* Renew the lease of this client. */
 static inline void sfa_heartbeat(sfa_client *a) {
-  if (*a->ours == 0) return;
+  if (!sfa_i_is_ours(a)) return;
   sf_store_relaxed(a->mailbox + offsetof(sfa_mailbox, heartbeat_ns), sf_now_ns());
 }
 
@@ -778,13 +783,13 @@ static inline int sfa_i_is_silent(const sfa_client *a, int64_t now) {
 }
 
 static inline int64_t sfa_i_token(const sfa_client *a, int resource) {
-  if (resource < 0 || resource >= SFA_RESOURCES || *a->ours == 0) return 0;
+  if (resource < 0 || resource >= SFA_RESOURCES || !sfa_i_is_ours(a)) return 0;
   return sf_load_acquire(a->board + a->grants_at + offsetof(sfa_client_grants, held) + 8 * SF_CAST(size_t, resource));
 }
 
 /*
  * The token of a resource that this client holds, 0: none, or the server was silent for a lease; none in a forked
- * child, which attaches for itself. From memory, never waits.
+ * child, which attaches for itself, or behind sfa_detach. From memory, never waits.
  */
 static inline int64_t sfa_held(const sfa_client *a, int resource) {
   const int64_t token = sfa_i_token(a, resource);
@@ -793,7 +798,7 @@ static inline int64_t sfa_held(const sfa_client *a, int resource) {
 
 /* Whether the server asks this holder to relinquish (cooperative policy). */
 static inline int sfa_asked(const sfa_client *a, int resource) {
-  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
+  if (resource < 0 || resource >= SFA_RESOURCES || a->board == NULL) return 0;
   return sf_load_acquire(a->board + a->grants_at + offsetof(sfa_client_grants, asked) + 8 * SF_CAST(size_t, resource)) != 0;
 }
 
@@ -806,7 +811,7 @@ static inline int sfa_ended(const sfa_client *a) {
 
 /* Status of a resource: 1, or 0 when there is none whole yet. */
 static inline int sfa_status(const sfa_client *a, int resource, sfa_resource_status *out) {
-  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
+  if (resource < 0 || resource >= SFA_RESOURCES || a->board == NULL) return 0;
   return sf_latch_read(a->board + a->status_at + SF_CAST(size_t, resource) * SFA_STATUS_BYTES, sizeof *out, out) > 0;
 }
 
@@ -816,17 +821,18 @@ static inline int sfa_status(const sfa_client *a, int resource, sfa_resource_sta
  */
 static inline int64_t sfa_lost_since(const sfa_client *a, int resource) {
   int64_t lost_ns;
-  if (resource < 0 || resource >= SFA_RESOURCES) return 0;
+  if (resource < 0 || resource >= SFA_RESOURCES || a->board == NULL) return 0;
   lost_ns = sf_load_acquire(a->board + offsetof(sfa_board_header, lost_ns) + 8 * SF_CAST(size_t, resource));
   return lost_ns > 0 ? lost_ns : 0;
 }
 
 static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t now, const double *values, int n,
                              int64_t ref_t_ns, const double *ref_pose) {
-  unsigned char *item = a->mailbox + offsetof(sfa_mailbox, item) +
-                        sizeof(sfa_item) * SF_CAST(size_t, a->head & (SFA_MAILBOX_ITEMS - 1));
+  unsigned char *item;
   int k;
-  if (*a->ours == 0) return -ENOENT; /* a forked child */
+  if (!sfa_i_is_ours(a)) return -ENOENT;
+  item = a->mailbox + offsetof(sfa_mailbox, item) +
+         sizeof(sfa_item) * SF_CAST(size_t, a->head & (SFA_MAILBOX_ITEMS - 1));
   if (a->head - sf_load_acquire(a->board + a->entry_at + offsetof(sfa_client_entry, consumed)) >= SFA_MAILBOX_ITEMS)
     return -EAGAIN;
   sf_store_relaxed(item + offsetof(sfa_item, seq), a->head + 1);
@@ -854,7 +860,8 @@ static inline int sfa_i_post(sfa_client *a, int64_t what, int64_t token, int64_t
  * Command a resource that this client holds: `n` values, as many as the resource declares, relative to the
  * pose of `ref_t_ns` (0: none; then `ref_pose` is NULL). Never waits.
  * Returns 1; 0: the resource is not ours (any more), nothing was sent; -EAGAIN: the mailbox is full; -ENOENT: the
- * server was silent for a lease; -EINVAL: no such resource, another number of values, or a pose without its time.
+ * server was silent for a lease; -EINVAL: no such resource, no values or another number of them, or a pose without
+ * its time.
  */
 static inline int sfa_command_at(sfa_client *a, int resource, const double *values, int n, int64_t ref_t_ns,
                                  const double *ref_pose) {
@@ -863,7 +870,7 @@ static inline int sfa_command_at(sfa_client *a, int resource, const double *valu
   if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
   if (token == 0) return 0;
   if (n != sfa_i_config(a, resource)->n_values || n > SFA_VALUES) return -EINVAL;
-  if (ref_t_ns == 0 && ref_pose != NULL) return -EINVAL;
+  if ((ref_t_ns == 0 && ref_pose != NULL) || (n > 0 && values == NULL)) return -EINVAL;
   if (sfa_i_is_silent(a, now)) return -ENOENT;
   err = sfa_i_post(a, SFA_ITEM_COMMAND | SF_CAST(int64_t, resource) << 8, token, now, values, n, ref_t_ns, ref_pose);
   return err == 0 ? 1 : err;
@@ -876,9 +883,10 @@ static inline int sfa_command(sfa_client *a, int resource, const double *values,
 
 /* Post a request or relinquishment and ring. */
 static inline int sfa_i_tell(sfa_client *a, int64_t what) {
-  unsigned char *doorbell = a->mailbox + offsetof(sfa_mailbox, doorbell);
   const int err = sfa_i_post(a, what, 0, sf_now_ns(), NULL, 0, 0, NULL);
+  unsigned char *doorbell;
   if (err != 0) return err;
+  doorbell = a->mailbox + offsetof(sfa_mailbox, doorbell);
   sf_store_release(doorbell, sf_load_relaxed(doorbell) + 1);
   sfa_i_futex(doorbell, 1, 0, 0);
   return 0;
@@ -886,9 +894,13 @@ static inline int sfa_i_tell(sfa_client *a, int64_t what) {
 
 /* The same, and wait for the answer to it. */
 static inline int sfa_i_ask(sfa_client *a, int64_t what, int64_t deadline, sfa_reply *reply) {
-  const unsigned char *doorbell = a->board + a->grants_at + offsetof(sfa_client_grants, doorbell);
-  int64_t rung = sf_load_acquire(doorbell), seq;
-  const int err = sfa_i_tell(a, what);
+  const unsigned char *doorbell;
+  int64_t rung, seq;
+  int err;
+  if (!sfa_i_is_ours(a)) return -ENOENT;
+  doorbell = a->board + a->grants_at + offsetof(sfa_client_grants, doorbell);
+  rung = sf_load_acquire(doorbell);
+  err = sfa_i_tell(a, what);
   if (err != 0) return err;
   seq = a->head;
   for (;;) {
@@ -918,11 +930,13 @@ static inline int sfa_relinquish(sfa_client *a, int resource) {
  */
 static inline int sfa_request(sfa_client *a, int resource, int wait, int timeout_ms, sfa_reply *reply) {
   const int64_t deadline = sf_now_ns() + SF_CAST(int64_t, timeout_ms) * 1000000;
-  const unsigned char *doorbell = a->board + a->grants_at + offsetof(sfa_client_grants, doorbell);
   const int64_t before = sfa_i_token(a, resource);
+  const unsigned char *doorbell;
   sfa_reply own;
   int err;
   if (resource < 0 || resource >= SFA_RESOURCES) return -EINVAL;
+  if (!sfa_i_is_ours(a)) return -ENOENT;
+  doorbell = a->board + a->grants_at + offsetof(sfa_client_grants, doorbell);
   if (reply == NULL) reply = &own;
   err = sfa_i_ask(a, SFA_ITEM_REQUEST | SF_CAST(int64_t, resource) << 8 | (wait ? 1 << 16 : 0), deadline, reply);
   if (err == -ETIMEDOUT && before == 0) (void)sfa_i_tell(a, SFA_ITEM_RELINQUISH | SF_CAST(int64_t, resource) << 8);

@@ -33,7 +33,7 @@ from surffollow.shm.journal import (
 )
 from surffollow.shm.layout_follow import CHANNELS, FollowState, Output, Params
 
-MAP_WORDS = 8  # 7 in recordings from before a refocus could choose its grids
+MAP_WORDS = 8  # 7, the least, in recordings from before a refocus could choose its grids
 _DEMAND_WORD = Output.offset("demand") // 8
 _CYCLE_WORD = FollowState.offset("cycle") // 8
 # whole-numbered parameters run loops and choose branches: word after the entry's second, least, most
@@ -46,6 +46,9 @@ _WHOLE = np.array(
     ],
     np.int64,
 )
+
+# the state's number that indexes arrays as it is: word after those of the parameters
+_REFERENCE = FollowState.offset("adaptive", "beams", "reference") // 8
 
 # results of a walk, int64 each
 (
@@ -74,7 +77,7 @@ def entry_length(word: Any) -> Any:
     if kind in (RESET, STOP):
         return n if n == 3 else 0
     if kind == MAP:
-        return n if 2 <= n <= MAP_WORDS else 0
+        return n if MAP_WORDS - 1 <= n <= MAP_WORDS else 0
     return 0
 
 
@@ -144,12 +147,37 @@ def same_words(a: Any, b: Any) -> Any:
 
 
 @jit
-def params_in_bounds(words: Any, at: Any) -> Any:
-    """Whether the `Params` of the entry at `at` keep every kernel inside its arrays and its time."""
+def numbers_in_bounds(words: Any, at: Any) -> Any:
+    """Whether the PARAMS or SNAPSHOT entry at `at` keeps every kernel inside its arrays and its time."""
+    snapshot = entry_kind(words[at]) == SNAPSHOT
+    if snapshot and not 0 <= words[at + 2 + PARAMS_WORDS + _REFERENCE] < CHANNELS:
+        return False
     for k in range(_WHOLE.shape[0]):  # noqa: SIM110 - numba has no all() over a generator
         if not _WHOLE[k, 1] <= words[at + 2 + _WHOLE[k, 0]] <= _WHOLE[k, 2]:
             return False
     return True
+
+
+@jit
+def entries_end(words: Any, floats: Any, inputs: Any) -> Any:
+    """Index of the first word that begins no whole entry with usable contents; the size when all do.
+
+    Parameters
+    ----------
+    words, floats : (n,) int64, float64   the same memory
+    inputs : (1,) record of `Inputs`      scratch
+    """
+    at = 0
+    while at < words.size:
+        length, kind = entry_length(words[at]), entry_kind(words[at])
+        if length == 0 or at + length > words.size:
+            break
+        if kind == CYCLE and decode_cycle(words, floats, at, inputs) != length:
+            break
+        if kind in (PARAMS, SNAPSHOT) and not numbers_in_bounds(words, at):
+            break
+        at += length
+    return at
 
 
 @jit
@@ -244,13 +272,13 @@ def replay_words(
                         first[3 + k] = output_words[_DEMAND_WORD + k]
                 tally[R_DIFFERING] += 1
         elif kind == SNAPSHOT:
-            if not params_in_bounds(words, at):
+            if not numbers_in_bounds(words, at):
                 return at
             take_snapshot(words, at, params_words, state_words, tally)
         else:
             tally[R_EVENTS] += 1
             if kind == PARAMS:
-                if not params_in_bounds(words, at):
+                if not numbers_in_bounds(words, at):
                     return at
                 for k in range(PARAMS_WORDS):
                     params_words[k] = words[at + 2 + k]

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from surffollow.errors import RecordingError
 from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
-from surffollow.record.log_kernels import entry_length, params_in_bounds, take_request
+from surffollow.record.log_kernels import entry_length, numbers_in_bounds, take_request
 from surffollow.record.reader import RecordingReader
+from surffollow.record.whole_segments import whole_segments
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.jit import jit
@@ -75,7 +76,7 @@ def collect_targets(
         elif kind in (RESET, STOP):
             take_request(words, floats, at, params, state)
         elif kind == PARAMS or out[2] == 0:
-            if not params_in_bounds(words, at):
+            if not numbers_in_bounds(words, at):
                 break
             for k in range(PARAMS_WORDS):
                 params_words[k] = words[at + 2 + k]
@@ -195,14 +196,12 @@ def rebuild_map(path: str | Path) -> HeightMap:
     ------
     RecordingError  not readable, damaged, without one target point, or with an installed map at its end
     """
-    segments: dict[int, list[NDArray[np.int64]]] = {}
     with RecordingReader(path) as reader:
-        for batch in reader.batches():
-            words = np.frombuffer(bytes(batch.words), np.int64)
-            segments.setdefault(batch.segment, []).append(words)
-        if reader.damage:
-            raise RecordingError(f"{path} cannot be mapped: {reader.damage}")
+        try:
+            segments = whole_segments(reader)
+        except RecordingError as error:
+            raise RecordingError(f"{path} cannot be mapped: {error}") from None
     remapper = Remapper()
-    for runs in segments.values():
-        remapper.segment(np.concatenate(runs))
+    for words in segments:
+        remapper.segment(words)
     return remapper.finish()

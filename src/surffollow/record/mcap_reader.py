@@ -7,6 +7,7 @@ salvaged chunk by chunk, and what was lost is counted. Nothing damaged is ever h
 from __future__ import annotations
 
 import os
+import stat
 import struct
 import zlib
 from collections.abc import Iterator
@@ -67,6 +68,8 @@ class McapReader(Closing):
         self.damage = Damage()
         self.at = 0  # how far `records` came [B]
         try:
+            if stat.S_ISFIFO(os.stat(self.path).st_mode):  # it would be waited for, and cannot be read twice
+                raise RecordingError(f"{self.path} is a pipe; write what comes out of it to a file first")
             self._file: Any = open(self.path, "rb")  # noqa: SIM115 - closed by close()
             self._size = self._file.seek(0, os.SEEK_END)
             begins = self._read(0, len(MAGIC))
@@ -130,6 +133,8 @@ class McapReader(Closing):
                 self.damage.add(f"{what}: the last {size - at} bytes are lost", lost_bytes=size - at)
                 return
             if opcode == DATA_END:
+                if not self._sound:
+                    self._look_behind(at)
                 return
             if opcode == CHUNK:
                 yield from self._chunk(memoryview(self._read(at + _RECORD.size, length)), at)
@@ -139,6 +144,20 @@ class McapReader(Closing):
             self.at = at = end
         if at < size:
             self.damage.add(f"the last {size - at} bytes are lost", lost_bytes=size - at)
+
+    def _look_behind(self, at: int) -> None:
+        """Name what was appended to the file, such as another recording (`cat a.mcap b.mcap`)."""
+        for start in range(at, self._size, _CRC_BLOCK):
+            found = self._read(start, _CRC_BLOCK + len(MAGIC) - 1).find(MAGIC)
+            if found >= 0:
+                end = start + found + len(MAGIC)
+                if end < self._size:
+                    self.damage.add(
+                        f"{self._size - end} bytes follow its end and are not read; they are a file of their "
+                        f"own: tail -c +{end + 1} {self.path.name}",
+                        lost_bytes=self._size - end,
+                    )
+                return
 
     def _chunk(self, body: memoryview, at: int) -> Iterator[tuple[int, memoryview]]:
         try:

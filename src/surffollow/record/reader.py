@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 import sys
 from collections.abc import Iterator
@@ -24,6 +25,9 @@ from surffollow.record.format import (
 from surffollow.record.mcap_reader import CHANNEL, MESSAGE, MESSAGE_HEAD, METADATA, SCHEMA, Damage, McapReader
 from surffollow.record.mcap_records import read_channel, read_metadata, read_schema
 
+DEFAULT_PERIOD_NS = 1_000_000
+_NUMBER = re.compile("-?[0-9]{1,19}")
+_LARGEST = 1 << 62  # of a time [ns]
 _BATCH_HEAD = struct.Struct(f"<{HEAD_WORDS}q")
 
 
@@ -68,8 +72,18 @@ class RecordingReader(McapReader):
     @property
     def wall_offset_ns(self) -> int:
         """CLOCK_REALTIME less CLOCK_MONOTONIC; 0: the recording does not say."""
-        text = self.about.get("wall_minus_monotonic_ns", "0")
-        return int(text) if text.lstrip("-").isdigit() else 0
+        return self._about_number("wall_minus_monotonic_ns", 0)
+
+    @property
+    def period_ns(self) -> int:
+        """The recorded service's cycle; 1 ms: the recording does not say."""
+        period_ns = self._about_number("period_ns", DEFAULT_PERIOD_NS)
+        return period_ns if period_ns > 0 else DEFAULT_PERIOD_NS
+
+    def _about_number(self, key: str, default: int) -> int:
+        """A number of `about`, or the default when it holds none that can be a time."""
+        text = self.about.get(key, "")
+        return int(text) if _NUMBER.fullmatch(text) and abs(int(text)) < _LARGEST else default
 
     def _find_layout(self) -> None:
         found = Damage(list(self.damage.reasons))
@@ -95,6 +109,9 @@ class RecordingReader(McapReader):
         """All whole messages of the cycle log, in the order of the file; other channels are passed over."""
         for opcode, body in self.records():
             if opcode == MESSAGE:
+                if len(body) < MESSAGE_HEAD.size:
+                    self.damage.add("a message is cut short", lost_bytes=len(body))
+                    continue
                 if body[0] | body[1] << 8 != self._log_channel:
                     continue
                 size = len(body) - MESSAGE_HEAD.size - _BATCH_HEAD.size
@@ -113,13 +130,34 @@ class RecordingReader(McapReader):
                     self.recovered = values
 
 
+def missing_words(expected: int, position: int) -> str:
+    """Words of a log that do not follow those before: a text for messages.
+
+    Parameters
+    ----------
+    expected, position : int   of the word that should have come, and of the one that came
+    """
+    if position > expected:
+        return f"words {expected} to {position} of the log are missing"
+    return (
+        f"behind word {expected} of the log comes word {position}: repeated, out of order, or of another run"
+    )
+
+
 def _check_layout(path: Path, text: bytes) -> dict[str, Any]:
     try:
         layout = json.loads(text)
         version, hashes = layout["format"], layout["hashes"]
         made_by = layout.get("surffollow", "unknown")
+        about = layout.setdefault("about", {})
+        texts = isinstance(about, dict) and all(isinstance(v, str) for v in about.values())
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise RecordingError(f"{path}: the recording's layout record cannot be read") from None
+        texts = False
+    if not texts:
+        raise RecordingError(
+            f"{path}: the recording's layout record cannot be read; it was edited or written by another "
+            "program: record the run again, or take the original file"
+        )
     if version != FORMAT_VERSION:
         raise RecordingError(
             f"{path} is a recording of format {version}; this program ({program_version()}) reads "
@@ -127,7 +165,12 @@ def _check_layout(path: Path, text: bytes) -> dict[str, Any]:
         )
     mine = layout_hashes()
     changed = [name for name in mine if not isinstance(hashes, dict) or hashes.get(name) != mine[name]]
-    if changed or layout.get("byteorder") != sys.byteorder:
+    if layout.get("byteorder") != sys.byteorder:
+        raise RecordingError(
+            f"{path} was recorded on a machine of byte order {layout.get('byteorder')}, and this one has "
+            f"{sys.byteorder}; replay it on such a machine"
+        )
+    if changed:
         raise RecordingError(
             f"{path} was recorded by surffollow {made_by} with another layout of {', '.join(changed)}; "
             f"this is {program_version()}; replay it with the version that recorded it"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surffollow.config.params import PARAMS as TABLE
 from surffollow.errors import RecordingError
 from surffollow.record.reader import RecordingReader
+from surffollow.record.whole_segments import whole_segments
 from surffollow.shm.conversion import conversion_dt_ns
 from surffollow.shm.dtypes import numpy_dtype
 from surffollow.shm.jit import jit
@@ -121,15 +122,14 @@ def load_recorded_inputs(path: str | Path) -> RecordedInputs:
     ------
     RecordingError  not readable, damaged, or without conversions
     """
-    segments: dict[int, list[NDArray[np.int64]]] = {}
     with RecordingReader(path) as reader:
-        for batch in reader.batches():
-            words = np.frombuffer(bytes(batch.words), np.int64)
-            segments.setdefault(batch.segment, []).append(words)
-        period_ns = int(reader.layout.get("about", {}).get("period_ns", "1000000"))
-        if reader.damage:
-            raise RecordingError(f"{path} cannot be played: {reader.damage}; replay it without --live first")
-    runs = [np.concatenate(s) for s in segments.values()]
+        try:
+            runs = whole_segments(reader)
+        except RecordingError as error:
+            raise RecordingError(
+                f"{path} cannot be played: {error}; replay it without --live first"
+            ) from None
+        period_ns = reader.period_ns
     counts = np.zeros(3, np.int64)
     for words in runs:
         count_inputs(words, counts)

@@ -95,6 +95,9 @@ def _copy(reader: McapReader, writer: Writer, done: Recovered) -> None:
                 made = writer.register_channel(topic, encoding, schemas[schema], about)
                 channels[number] = made, topic
         elif opcode == MESSAGE:
+            if len(body) < MESSAGE_HEAD.size:
+                reader.damage.add("a message is cut short", lost_bytes=len(body))
+                continue
             number, sequence, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(body)
             if number not in channels:
                 continue  # declared in a chunk that is lost

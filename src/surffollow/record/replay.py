@@ -32,7 +32,7 @@ from surffollow.record.log_kernels import (
     walk_entries,
 )
 from surffollow.record.mcap_reader import Damage
-from surffollow.record.reader import Batch, RecordingReader
+from surffollow.record.reader import Batch, RecordingReader, missing_words
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.journal import CYCLE_HEAD, PARAMS_WORDS, SNAPSHOT_WORDS
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
@@ -129,7 +129,7 @@ class _Segments:
         if key != self.key or batch.position != self.position:
             self.run()
             if key == self.key:
-                self.faults.add(f"words {self.position} to {batch.position} of the log are missing")
+                self.faults.add(missing_words(self.position, batch.position))
             else:
                 self.last_cycle = -1
             self.key, self.synced = key, False

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
-from surffollow.record.log_kernels import entry_length, params_in_bounds, take_request
+from surffollow.record.log_kernels import entry_length, numbers_in_bounds, take_request
 from surffollow.record.step_samples import (
     DELAY,
     DIFFERING,
@@ -152,8 +152,8 @@ class Sampler:
         event = Event(_NAMES[kind], int(words[at + 1]))
         floats = words.view(np.float64)
         if kind in (journal.SNAPSHOT, journal.PARAMS):
-            if not params_in_bounds(words, at):
-                raise RecordingError("a recording holds parameters out of bounds")
+            if not numbers_in_bounds(words, at):
+                raise RecordingError("a recording holds parameters or a state out of bounds")
             if kind == journal.PARAMS or not self._plan[STARTED]:
                 self.params.view(np.int64)[:] = words[at + 2 : at + 2 + journal.PARAMS_WORDS]
             if kind == journal.SNAPSHOT and not self._plan[STARTED]:

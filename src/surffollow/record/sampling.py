@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surffollow.errors import RecordingError
 from surffollow.record.log_kernels import W_BAD, W_COUNT, W_END, W_SNAPSHOT, walk_entries
-from surffollow.record.reader import Batch, RecordingReader
+from surffollow.record.reader import Batch, RecordingReader, missing_words
 from surffollow.record.samples import Event, Run, Sampler
 
 _ALL = 1 << 62
@@ -53,7 +53,7 @@ class FileSamples:
         # files of one recording may be given in any order of theirs, but a missing one is an error at once
         with RecordingReader(self.paths[0]) as first:
             self.wall_offset_ns = first.wall_offset_ns
-            self.period_cycle_ns = int(first.about.get("period_ns", "1000000"))
+            self.period_cycle_ns = first.period_ns
 
     @property
     def differing(self) -> int:
@@ -88,7 +88,7 @@ class FileSamples:
             )
         if key != self._key or batch.position != self._position:
             if key == self._key:
-                self.damage.append(f"words {self._position} to {batch.position} of the log are missing")
+                self.damage.append(missing_words(self._position, batch.position))
             self._key, self._synced = key, False
         self._position = batch.position + words.size
         if not self._synced:

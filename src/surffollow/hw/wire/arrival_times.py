@@ -67,6 +67,9 @@ class ArrivalClock:
     def _regularised(self, arrivals_ns: Sequence[int]) -> list[float]:
         n, period = len(arrivals_ns), self.period_ns
         late = arrivals_ns[-1] - (self._last_ns + n * period)
+        if late > PAUSE * period and arrivals_ns[-1] - self._arrived_ns < (n + 1) * period:
+            self.restart()  # it grew frame by frame: not a pause, the period is another one now
+            return [float(a) for a in arrivals_ns]
         if late > PAUSE * period:
             self._pauses += 1
             self._late.clear()

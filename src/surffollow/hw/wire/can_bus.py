@@ -57,6 +57,11 @@ class CanConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
         keys = {(m.id, m.extended) for m in self.messages}
         if len(keys) < len(self.messages):
             raise ConfigError("two messages have the same identifier")
+        fed = [m.channel for m in self.messages]
+        if len(set(fed)) < len(fed):
+            raise ConfigError(
+                f"two messages feed the same channel ({', '.join(map(str, fed))}); give each its own channel"
+            )
         for m in self.messages:
             if not 0 <= m.id < (1 << 29 if m.extended else 1 << 11):
                 raise ConfigError(f"identifier {m.id:#x} needs extended = true, or more than 29 bits")
@@ -98,8 +103,10 @@ class CanSource:
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
         """Conversions, with the begin of their frame as timestamp: receive time less its time on the bus."""
         out: list[tuple[int, int]] = []
-        message = self._bus.recv(timeout_s)
-        while message is not None:
+        for n in range(AT_ONCE):  # messages that give nothing count, too: a flood of them ends no `stop`
+            message = self._bus.recv(0.0 if n else timeout_s)
+            if message is None:
+                break
             now_ns, now_s = time.monotonic_ns(), time.time()
             found = self._finders.get((message.arbitration_id, bool(message.is_extended_id)))
             if found is not None and not message.is_error_frame and not message.is_remote_frame:
@@ -113,7 +120,6 @@ class CanSource:
                     overhead = OVERHEAD_EXTENDED_BITS if message.is_extended_id else OVERHEAD_BITS
                     frame_ns = round(1e9 * (overhead + 8 * message.dlc) / self._config.bitrate)
                     out.append((arrived_ns - frame_ns, pack_range(self._info, channel, got[1])))
-            message = self._bus.recv(0.0) if len(out) < AT_ONCE else None
         return out
 
     def close(self) -> None:

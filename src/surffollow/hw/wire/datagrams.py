@@ -36,6 +36,11 @@ class DatagramSettings(Protocol):
         """Sensors in the datagrams."""
         ...
 
+    @property
+    def silence_s(self) -> float:
+        """So long without a newer number, and the sensor may have begun to count anew [s]."""
+        ...
+
 
 class Datagrams(Protocol):
     """A bound socket that says from whom each datagram came."""
@@ -66,6 +71,8 @@ class DatagramSource:
         self._end = config.format.terminator.encode()
         self._datagrams: Datagrams | None = None
         self._number: int | None = None
+        self._number_ns = 0  # when it came
+        self._old: int | None = None  # the number dropped last, since then
         self._sequence = (
             reader_of(config.sequence, config.format.length, "sequence") if config.sequence else None
         )
@@ -77,6 +84,7 @@ class DatagramSource:
     def open(self) -> None:
         """Bind the socket."""
         self._datagrams, self._number = self.bind(), None
+        self._old = None
         self._datagrams.socket.setblocking(False)
 
     def read(self, timeout_s: float) -> list[tuple[int, int]]:
@@ -96,7 +104,7 @@ class DatagramSource:
                 self._reject(refusal)
                 continue
             found = self._measurements(data)
-            if not found or not self._is_next(data):
+            if not found or not self._is_next(data, now_ns):
                 continue
             for channel, range_m in found:
                 if channel < self._settings.channels:
@@ -106,18 +114,26 @@ class DatagramSource:
     def _reject(self, why: str) -> None:
         self.rejected, self.rejection = self.rejected + 1, why
 
-    def _is_next(self, data: bytes) -> bool:
-        """Whether a datagram is newer than the last one; how many are missing between them is counted."""
+    def _is_next(self, data: bytes, now_ns: int) -> bool:
+        """Whether a datagram is newer than the last one; how many are missing between them is counted.
+
+        A sensor that was switched off and on counts anew: two old numbers that ascend are new ones when no
+        newer number came for `silence_s`. A number that is repeated is not.
+        """
         if self._sequence is None or self._settings.sequence is None:
             return True
         number = int(self._sequence.unpack_from(data, self._settings.sequence.offset)[0])
         span = 1 << 8 * self._sequence.size
         ahead = (number - self._number) % span if self._number is not None else 1
         if not 0 < ahead < span // 2:
-            self._reject("datagrams repeat or go back in sequence; check the setting sequence")
-            return False
+            old, self._old = self._old, number
+            ascends = old is not None and 0 < (number - old) % span < span // 2
+            if not ascends or now_ns - self._number_ns <= self._settings.silence_s * 1e9:
+                self._reject("datagrams repeat or go back in sequence; check the setting sequence")
+                return False
+            ahead = 1
         self.missing += ahead - 1
-        self._number = number
+        self._number, self._number_ns, self._old = number, now_ns, None
         return True
 
     def _measurements(self, data: bytes) -> list[tuple[int, float | None]]:

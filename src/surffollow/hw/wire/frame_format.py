@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Callable
@@ -132,7 +133,7 @@ class Format(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Raises
         ------
         ConfigError
-            no unit, or none of a length
+            no unit, or none of a length; a unit of 0, or a `zero_m` that is no number
         """
         if not self.unit.strip():
             raise ConfigError(
@@ -140,22 +141,34 @@ class Format(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 'unit = "1 mm", or "1 m" for metres'
             )
         text = self.unit if re.match(r"\s*[-+.\d]", self.unit) else f"1 {self.unit}"
+        if not math.isfinite(self.zero_m):
+            raise ConfigError(f"zero_m = {self.zero_m}, expected the distance of the number 0 [m]")
         try:
-            return parse_quantity(text, "m")
+            scale_m = parse_quantity(text, "m")
         except ValueError as error:
             raise ConfigError(f"unit = {self.unit!r}: {error}") from None
+        if scale_m == 0.0:
+            raise ConfigError(
+                f"unit = {self.unit!r}: every number would be the same distance; give what 1 means"
+            )
+        return scale_m
 
 
-def reader_of(number: Number | Limits | Checksum, length: int, what: str) -> struct.Struct:
+def reader_of(
+    number: Number | Limits | Checksum, length: int, what: str, whole: bool = False
+) -> struct.Struct:
     """Reader of a number in a frame of `length` bytes.
 
     Raises
     ------
     ConfigError
-        no such type, or it does not lie within the frame; `what` names it
+        no such type, no whole number where one is needed, or not within the frame; `what` names it
     """
+    known = [t for t in TYPES if not (whole and t.startswith("f"))]
+    if number.type in TYPES and number.type not in known:
+        raise ConfigError(f"{what}: type '{number.type}' is no whole number; one of: {', '.join(known)}")
     if number.type not in TYPES:
-        raise ConfigError(f"{what}: type '{number.type}' is unknown; one of: {', '.join(TYPES)}")
+        raise ConfigError(f"{what}: type '{number.type}' is unknown; one of: {', '.join(known)}")
     reader = struct.Struct(TYPES[number.type])
     if not 0 <= number.offset <= length - reader.size:
         raise ConfigError(

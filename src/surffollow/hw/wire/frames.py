@@ -125,11 +125,11 @@ class LineFinder(_Finder):
             try:
                 if int(match["check"], 16) != self._checksum(match["body"]):
                     return None
-            except ValueError:
+            except (TypeError, ValueError):  # a group that took no part in the match is None
                 return None
         try:
             number, channel = float(match["range"]), int(match["channel"]) if self._has_channel else 0
-        except ValueError:
+        except (TypeError, ValueError):
             return None
         if not 0 <= channel < 8:
             return None
@@ -154,7 +154,7 @@ class FrameFinder(_Finder):
             )
         self._value = (reader_of(form.value, n, "value"), form.value.offset)
         self._channel = (reader_of(form.channel, n, "channel"), form.channel.offset) if form.channel else None
-        self._limits = [(reader_of(x, n, "limits"), x) for x in form.limits]
+        self._limits = [(reader_of(x, n, "limits", whole=x.mask >= 0), x) for x in form.limits]
         self._check = None
         if form.checksum is not None:
             c = form.checksum
@@ -193,9 +193,10 @@ class FrameFinder(_Finder):
                 return None
         channel = 0
         if self._channel is not None:
-            channel = int(self._channel[0].unpack_from(frame, self._channel[1])[0])
-            if not 0 <= channel < 8:
+            number = self._channel[0].unpack_from(frame, self._channel[1])[0]
+            if not 0 <= number < 8:  # nor is NaN
                 return None
+            channel = int(number)
         for reader, x in self._limits:
             number = reader.unpack_from(frame, x.offset)[0]
             if not x.low <= (int(number) & x.mask if x.mask >= 0 else number) <= x.high:

@@ -7,6 +7,7 @@ device. Units: an IIO voltage is (raw + offset) · scale in millivolts.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import time
 from pathlib import Path
@@ -18,7 +19,7 @@ from surffollow.config.key_errors import convert_table
 from surffollow.errors import ConfigError, DriverError
 from surffollow.hw.driver import Driver, DriverInfo, Mount, mounts_of
 from surffollow.hw.polled import PolledDriver
-from surffollow.hw.range_settings import SILENCE_S
+from surffollow.hw.range_settings import SILENCE_S, check_times
 from surffollow.hw.ranges import pack_counts
 from surffollow.hw.wire.iio_scan import calibration_of, eight_channels, find_device, scan_layout
 from surffollow.shm.layout_follow import CHANNELS
@@ -59,10 +60,19 @@ class IioConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if not 1 <= len(self.inputs) <= CHANNELS:
             raise ConfigError(f"{len(self.inputs)} inputs, expected 1 to {CHANNELS}")
-        if not self.range_min_m < self.range_max_m:
-            raise ConfigError(f"window {self.range_min_m} to {self.range_max_m} m, expected min < max")
-        if self.metres_per_volt == 0.0:
-            raise ConfigError("metres_per_volt is 0; a distance must follow from a voltage")
+        if len(set(self.inputs)) < len(self.inputs):
+            raise ConfigError(f"inputs {', '.join(self.inputs)} name one twice; each is one sensor")
+        if not 0.0 <= self.range_min_m < self.range_max_m < math.inf:
+            raise ConfigError(
+                f"window {self.range_min_m} to {self.range_max_m} m, expected 0 <= range_min_m < range_max_m"
+            )
+        if self.metres_per_volt == 0.0 or not math.isfinite(self.metres_per_volt):
+            raise ConfigError(
+                f"metres_per_volt is {self.metres_per_volt:g}; a distance must follow from a voltage"
+            )
+        if not math.isfinite(self.metres_at_zero):
+            raise ConfigError(f"metres_at_zero = {self.metres_at_zero}, expected a number [m]")
+        check_times(self.latency_s, self.silence_s)
 
 
 class IioSource:
@@ -146,11 +156,17 @@ def describe(config: IioConfig) -> DriverInfo:
     try:
         folder = find_device(Path(config.root), config.device)
         layout, _ = scan_layout(folder, config.inputs)
+        calibrations = [calibration_of(folder, name) for name in config.inputs]
     except (OSError, DriverError) as error:
         raise ConfigError(f"driver 'iio': {error}") from error
     scale, zero = [], []
-    for name in config.inputs:
-        volts, offset = calibration_of(folder, name)
+    for name, (volts, offset) in zip(config.inputs, calibrations, strict=True):
+        if volts == 0.0 or not math.isfinite(volts) or not math.isfinite(offset):
+            raise ConfigError(
+                f"driver 'iio': {config.device} reports scale {1e3 * volts:g} and offset {offset:g} of "
+                f"{name}, from which no distance follows; look at in_{name}_scale and in_{name}_offset "
+                f"in {folder}"
+            )
         scale.append(config.metres_per_volt * volts * (1 << layout[name].dropped))
         zero.append(config.metres_at_zero + config.metres_per_volt * volts * offset)
     return DriverInfo(

@@ -62,22 +62,34 @@ def find_device(root: Path, expected: str) -> Path:
     return found[0]
 
 
-def _number(folder: Path, *names: str) -> float:
+def _number(folder: Path, *names: str) -> float | None:
+    """The number in the first of these files that is there."""
     for name in names:
-        with contextlib.suppress(OSError, ValueError):
-            return float((folder / name).read_text())
-    return float("nan")
+        with contextlib.suppress(FileNotFoundError):
+            text = (folder / name).read_text().strip()
+            try:
+                return float(text)
+            except ValueError:
+                raise DriverError(f"{folder / name} is {text!r}, expected a number") from None
+    return None
 
 
 def calibration_of(folder: Path, input_name: str) -> tuple[float, float]:
     """Scale [V/count] and offset [counts] of an input; 1 mV and 0 where sysfs says nothing.
 
     The file of the input comes before the one that all inputs share.
+
+    Raises
+    ------
+    DriverError
+        a file holds no number
+    OSError
+        a file cannot be read
     """
     kind = re.sub(r"\d.*$", "", input_name)
     scale = _number(folder, f"in_{input_name}_scale", f"in_{kind}_scale")
     offset = _number(folder, f"in_{input_name}_offset", f"in_{kind}_offset")
-    return (1e-3 * scale if scale == scale else 1e-3), (offset if offset == offset else 0.0)
+    return (1e-3 if scale is None else 1e-3 * scale), (0.0 if offset is None else offset)
 
 
 def scan_layout(folder: Path, expected: tuple[str, ...]) -> tuple[dict[str, Element], int]:
@@ -96,11 +108,15 @@ def scan_layout(folder: Path, expected: tuple[str, ...]) -> tuple[dict[str, Elem
             raise DriverError(f"{stem.name}_type is '{text}', expected like 'le:s12/16>>4'")
         order, sign, bits, storage, repeat, shift = match.groups()
         size = int(storage) // 8
-        if size not in (1, 2, 4, 8) or (repeat or "1") not in ("0", "1"):
+        fits = 0 < int(bits) <= int(storage) - int(shift or 0)
+        if size not in (1, 2, 4, 8) or (repeat or "1") not in ("0", "1") or not fits:
             raise DriverError(
                 f"{stem.name}_type is '{text}': only single numbers of 8 to 64 bits can be read"
             )
-        index = int(stem.with_name(stem.name + "_index").read_text())
+        index_text = stem.with_name(stem.name + "_index").read_text().strip()
+        if not index_text.isdecimal():
+            raise DriverError(f"{stem.name}_index is '{index_text}', expected a whole number")
+        index = int(index_text)
         code = ("<" if order == "le" else ">") + {1: "B", 2: "H", 4: "I", 8: "Q"}[size]
         rows.append((index, name, struct.Struct(code), int(shift or 0), int(bits), sign == "s"))
     at, largest, layout = 0, 1, {}

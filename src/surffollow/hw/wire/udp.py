@@ -61,7 +61,7 @@ class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
                     "leave host out, or give the address of this machine in the sensor's network"
                 )
         if self.sequence is not None:
-            reader_of(self.sequence, self.format.length, "sequence")
+            reader_of(self.sequence, self.format.length, "sequence", whole=True)
 
     @property
     def address(self) -> tuple[str, int]:

@@ -18,6 +18,7 @@ from surffollow.hw.polled import PolledDriver
 from surffollow.hw.range_settings import RangeSettings
 from surffollow.hw.wire.datagrams import DATAGRAM_BYTES, Datagrams, DatagramSource, bind_socket
 from surffollow.hw.wire.frame_format import Format, Number, reader_of
+from surffollow.shm.received_descriptors import refuse_rights
 
 PATH_BYTES = 107
 _SENDER = struct.Struct("iII")  # struct ucred: pid, uid, gid
@@ -55,7 +56,7 @@ class UnixConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
             except ConfigError:
                 raise ConfigError(f"users: there is no user {user!r} on this machine") from None
         if self.sequence is not None:
-            reader_of(self.sequence, self.format.length, "sequence")
+            reader_of(self.sequence, self.format.length, "sequence", whole=True)
 
     @property
     def permitted(self) -> frozenset[int]:
@@ -96,6 +97,7 @@ class UnixSource(DatagramSource):
         _remove_unused(path)
         opened = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)  # before anybody can send
+        refuse_rights(opened)  # to drop a descriptor may take as long as its sender likes; Linux 6.16
         bind_socket(opened, str(path))
         try:
             os.chmod(path, 0o666 if self._config.users else 0o600)
@@ -106,14 +108,25 @@ class UnixSource(DatagramSource):
         self._made = status.st_dev, status.st_ino
         return _Received(opened, self._config.permitted)
 
+    def read(self, timeout_s: float) -> list[tuple[int, int]]:
+        """Conversions; DriverError when the socket has lost its name, so that no sender finds it."""
+        found = super().read(timeout_s)
+        if not found and not self._has_name():
+            raise DriverError("the socket was removed or replaced by something else; it is made again")
+        return found
+
+    def _has_name(self) -> bool:
+        with contextlib.suppress(OSError):
+            there = os.lstat(self._config.path)
+            return self._made == (there.st_dev, there.st_ino)
+        return False
+
     def close(self) -> None:
         """Remove the socket."""
         super().close()
-        made, self._made = self._made, None
-        with contextlib.suppress(OSError):
-            there = os.lstat(self._config.path)
-            if made == (there.st_dev, there.st_ino):
-                os.unlink(self._config.path)
+        if self._has_name():
+            os.unlink(self._config.path)
+        self._made = None
 
 
 def _remove_unused(path: Path) -> None:

@@ -22,7 +22,8 @@ typedef struct sf_options {
                             SF_STALE_LEAST_PERIODS of them where that is longer ... */
   int64_t stale_min_ns;  /* ... but never sooner than this */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
-  int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this) */
+  int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this); of all times to
+                            wait INT64_MAX means for ever */
   int64_t owner;         /* number of the user whose service to trust, or SF_OWNER_DEFAULT; whose it is at
                             first it must be ever after */
 } sf_options;
@@ -95,6 +96,12 @@ static inline sf_options sf_default_options(void) {
   return o;
 }
 
+/* A time to wait that no clock's sum with it, nor six times it, exceeds; INT64_MAX means "for ever", too. */
+static inline int64_t sf_i_wait_ns(int64_t given_ns) {
+  const int64_t longest_ns = INT64_C(1) << 60; /* 36 years */
+  return given_ns < 0 ? 0 : given_ns < longest_ns ? given_ns : longest_ns;
+}
+
 /* Age at which a demand is stale: docs/reference/protocol.md, "Poses and demands". */
 static inline int64_t sf_i_stale_ns(const sf_options *o, int64_t period_ns) {
   const int64_t n = o->stale_periods, least = n < SF_STALE_LEAST_PERIODS ? n : SF_STALE_LEAST_PERIODS;
@@ -140,8 +147,10 @@ static inline void sf_i_forget(sf_object *o) {
 }
 
 static inline void sf_i_close(sf_object *o) {
-  if (o->memory != NULL) munmap(o->memory, o->size);
-  if (o->fd >= 0) close(o->fd);
+  if (o->memory != NULL) {
+    munmap(o->memory, o->size);
+    if (o->fd >= 0) close(o->fd);
+  } /* else all zero, perhaps, of a client that was never attached: 0 is no descriptor of ours */
   sf_i_forget(o);
 }
 

@@ -24,7 +24,7 @@ static inline int sf_i_await(int fd, int64_t deadline_ns) {
 /* End the exchange that is under way, if any. */
 static inline void sf_i_stop_asking(sf_client *c) {
   if (c->asking.memory != NULL) munmap(c->asking.memory, SF_SLOT_BYTES);
-  if (c->asking.fd >= 0) close(c->asking.fd);
+  if (c->asking.deadline_ns != 0 && c->asking.fd >= 0) close(c->asking.fd); /* 0: never begun */
   memset(&c->asking, 0, sizeof c->asking);
   c->asking.fd = -1;
 }

@@ -59,7 +59,7 @@ static inline void sf_i_detach(sf_client *c, int remove_world) {
 
 /*
  * Release the pose, give back the slot, remove the world block of sf_sim_pose, unmap everything. Also right after a
- * failed attach. The pose is not lost, so SF_STOP_POSE_LOST latches no stop. It waits for the service's answer to the
+ * failed attach, and of a client of zeroes that was never attached. The pose is not lost, so SF_STOP_POSE_LOST latches no stop. It waits for the service's answer to the
  * release, 1 s at most, and not for a service that is silent.
  */
 static inline void sf_detach(sf_client *c) {
@@ -94,6 +94,8 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   sf_i_forget(&c->map);
   sf_i_forget(&c->world);
   c->options = options != NULL ? *options : sf_default_options();
+  c->options.ready_wait_ns = sf_i_wait_ns(c->options.ready_wait_ns);
+  c->options.timeout_ns = sf_i_wait_ns(c->options.timeout_ns);
   if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0 || c->options.owner < SF_OWNER_DEFAULT)
     return SF_ERR_ARGUMENT;
   if (name == NULL || !sf_i_name_ok(name)) return SF_ERR_NAME;

@@ -68,7 +68,7 @@ static inline int sf_request_poll(sf_client *c, const sf_ticket *ticket) {
 
 /* Wait for the answer; as sf_request_poll, or SF_ERR_TIMEOUT (SF_ERR_NOT_RUNNING: the service is silent, too). */
 static inline int sf_request_wait(sf_client *c, const sf_ticket *ticket, int64_t timeout_ns) {
-  const int64_t deadline = sf_now_ns() + timeout_ns;
+  const int64_t deadline = sf_now_ns() + sf_i_wait_ns(timeout_ns);
   int64_t pause_ns = 50000;
   for (;;) {
     const int result = sf_request_poll(c, ticket);

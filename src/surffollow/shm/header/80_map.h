@@ -226,7 +226,7 @@ static inline int sf_access_begin(sf_client *c, int64_t timeout_ns) {
     c->access_depth++;
     return SF_OK;
   }
-  const int64_t deadline = sf_now_ns() + timeout_ns;
+  const int64_t deadline = sf_now_ns() + sf_i_wait_ns(timeout_ns);
   for (;;) { /* a service that stands still may go on; one that ended has no map to give */
     const int64_t now = sf_now_ns();
     const int alive = sf_alive(c);
