@@ -131,13 +131,16 @@ def register_step(params, gate, pending, t_ns):
     width_m = gate.travel_since_step_m - pending.travel_m
     fell = gate.step_m < 0.0 or gate.step_ns == 0
     leaves_slot = fell and pending.innovation_m > 0.0 and width_m < params.step_travel_m
-    # among outliers that agreed with none a step may be one of a burst, and says nothing about steps
-    burst = pending.rejected >= CONFIRMATION_SAMPLES
+    # among outliers that agreed with none a step may be one of a burst, and says nothing about steps;
+    # but those on an edge lie between the heights before and behind it
+    step_m = pending.innovation_m / pending.samples
+    between = pending.opposed == 0 and pending.farthest_m <= abs(step_m) + gate.width_m
+    burst = pending.rejected >= CONFIRMATION_SAMPLES and not between
     if (leaves_slot and gate.step_ns != 0) or burst:
         gate.slot_likelihood = 1.0
     gate.travel_since_step_m = 0.0
     gate.nearer = 1 if pending.innovation_m > 0.0 else 0
-    gate.step_m = 0.0 if leaves_slot or burst else pending.innovation_m / pending.samples
+    gate.step_m = 0.0 if leaves_slot or burst else step_m
     gate.step_ns = t_ns
     gate.withheld_m = 0.0
     pending_samples.drop_pending(pending)

@@ -51,6 +51,13 @@ def _add_pending(adaptive, innovation_m, travel_m):
 
 
 @jit
+def _count_rejected(pending):
+    """Count the pending samples as outliers that did not agree with the next one."""
+    pending.rejected += 1
+    pending.farthest_m = max(pending.farthest_m, abs(pending.innovation_m) / pending.samples)
+
+
+@jit
 def _needed(params, adaptive, rises_on):
     """Number of pending samples that confirm a step."""
     pending, tau_s, interval_s = adaptive.pending, adaptive.plant.tau_s, adaptive.hold.interval_s
@@ -93,7 +100,7 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
     pending.odd = 0
     if not agrees:  # with none before it: the pending samples begin with it
         if pending.samples > 0:
-            pending.rejected += 1
+            _count_rejected(pending)
             pending.opposed += 1 if innovation_m * pending.innovation_m < 0.0 else 0
         pending.samples, pending.t_ns = 0, estimate.sample_ns
         pending.travel_m = pending.innovation_m = pending.arc_length_m = pending.height_m = 0.0
@@ -122,7 +129,7 @@ def nearer_wait(adaptive):
 def reject_pending(pending):
     """Drop the pending samples: a sample inside the gate that waits agrees with none of them."""
     if pending.samples > 0:
-        pending.rejected += 1
+        _count_rejected(pending)
         pending.samples = 0
 
 
@@ -130,6 +137,7 @@ def reject_pending(pending):
 def reset_pending(pending):
     """Drop the pending samples, and the number of rejected ones."""
     pending.samples = pending.rejected = pending.opposed = 0
+    pending.farthest_m = 0.0
 
 
 @jit
@@ -137,3 +145,4 @@ def drop_pending(pending):
     """Drop the pending samples after an accepted one; in noise some are accepted by chance."""
     pending.samples, pending.rejected = 0, max(pending.rejected - 1, 0)
     pending.opposed = min(pending.opposed, pending.rejected)
+    pending.farthest_m = pending.farthest_m if pending.rejected > 0 else 0.0
