@@ -73,6 +73,31 @@ def test_silent_connections_of_the_own_user_go_when_new_ones_come(server) -> Non
         one.close()
 
 
+@pytest.mark.parametrize("others", [9, 15])
+def test_a_word_that_came_before_other_connections_is_read(server, others: int) -> None:
+    name, control = server
+    with connected(name, b"abort"):
+        held = [connected(name) for _ in range(others)]
+        assert control.words({}) == ["abort"]
+        for one in held:
+            one.close()
+
+
+def test_a_word_waits_for_room_where_all_connections_are_taken(server) -> None:
+    name, control = server
+    held: list[socket.socket] = []
+    with contextlib.suppress(BlockingIOError):
+        while len(held) < 1000:
+            one = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            held.append(one)
+            one.setblocking(False)
+            one.connect(f"\0surffollow.scan.{name}")
+    assert len(held) < 1000
+    assert abort(name, control) == ["abort"]  # it was told that no scan runs
+    for one in held:
+        one.close()
+
+
 @pytest.mark.parametrize("kernel", ["refuses descriptors", "takes them"])
 def test_a_descriptor_whose_end_takes_minutes_holds_up_no_loop(
     kernel: str, monkeypatch: pytest.MonkeyPatch

@@ -23,4 +23,4 @@ def test_clients_that_are_not_attached_and_endless_waits_harm_nothing(
     command = [compiler, *flags, *SANITIZED, f"-I{ROOT / 'include'}", str(source), "-o", str(program)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    assert run(program, service.name) == "24\n"
+    assert run(program, service.name) == "25\n"

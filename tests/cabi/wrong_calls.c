@@ -34,6 +34,7 @@ static void detached_from_an_arbiter(void) {
   sfa_client a;
   sfa_reply reply;
   sfa_resource_status status;
+  CHECK(sfa_attach(&a, "", "patrol", 0) == -EINVAL); /* a name that would look like "never attached" */
   CHECK(sfa_attach(&a, "no_arbiter_of_this_name", "patrol", 0) == -ENOENT);
   CHECK(sfa_reattach(&a, 0) == -ENOENT);
   sfa_heartbeat(&a);

@@ -430,7 +430,8 @@ def test_a_region_whose_side_no_float_holds_is_a_region_error(client: Client) ->
         ({"stale_min_s": NAN}, "stale_min_s must be 0 to"),
         ({"stale_min_s": INF}, "stale_min_s must be 0 to"),
         ({"stale_min_s": -1.0}, "stale_min_s must be 0 to"),
-        ({"stale_min_s": "5 ms"}, "stale_min_s must be 0 to"),
+        ({"stale_min_s": "5 ms"}, "stale_min_s '5 ms': expected .* a time"),
+        ({"stale_periods": NAN}, "expected a whole number of at least 1"),
         ({"stale_periods": 0}, "stale_periods must be a whole number of at least 1"),
         ({"stale_periods": 2.5}, "stale_periods must be a whole number"),
         ({"owner": 3.5}, "no user 3.5 on this machine; name the service's user"),
@@ -442,3 +443,8 @@ def test_settings_of_an_attachment_that_cannot_be_are_refused(
     for attaching in (attach, observe):
         with pytest.raises((UsageError, ConfigError), match=says):
             attaching(service.name, **settings)
+
+
+def test_settings_of_an_attachment_may_be_numbers_of_numpy(service: Service) -> None:
+    with observe(service.name, stale_periods=np.int64(5), stale_min_s=np.float32(0.01)) as observer:
+        assert observer.output()["epoch"] == observer.epoch

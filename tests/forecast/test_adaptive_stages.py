@@ -9,6 +9,7 @@ import pytest
 
 from surffollow.follower import Follower
 from surffollow.forecast.estimation.estimate import update_estimate
+from surffollow.forecast.estimation.innovation_gate import register_step
 from surffollow.forecast.estimation.model_bank import BANK
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.sensing.latency_identification import (
@@ -101,6 +102,20 @@ def test_readings_on_an_edge_are_no_burst(sign):
     assert a["gate"]["slot_likelihood"] < 0.1
     late = [int(np.argmax(taken[edge:])) for edge in range(1000, 3000, 250)]
     assert max(late) <= 9  # four on the edge and five behind it; a first step down waits for 25
+
+
+@pytest.mark.parametrize(
+    ("least_m", "greatest_m", "likelihood"), [(-0.02, 0.0, 0.05), (-0.02, 0.004, 1.0), (-0.04, 0.0, 1.0)]
+)
+def test_outliers_beyond_the_heights_beside_a_step_are_a_burst(least_m, greatest_m, likelihood):
+    a = zeros(AdaptiveState)[0]
+    gate, pending = a["gate"], a["pending"]
+    gate["width_m"], gate["slot_likelihood"], gate["step_ns"] = 1e-3, 0.05, 1
+    pending["samples"], pending["rejected"], pending["innovation_m"] = 3, 4, 3 * -0.03
+    pending["least_m"], pending["greatest_m"] = least_m, greatest_m
+    register_step(default_params(), gate, pending, 10**9)
+    assert gate["slot_likelihood"] == likelihood
+    assert (gate["step_m"] == 0.0) == (likelihood == 1.0)
 
 
 def test_after_one_slot_that_was_followed_the_next_one_is_not():

@@ -95,7 +95,7 @@ def test_an_entry_of_a_wrong_length_ends_every_reader_in_one_line(
     path = rewritten(make_recording(cycles=600, mode=1), place(kind, length))
     if (kind, length, place) != (STOP, 3, with_head):  # a whole entry: what follows it is none
         assert "begins no entry" in replay_file(path).damage
-    with pytest.raises(RecordingError, match=r"cannot be played: .* replay it without --live first"):
+    with pytest.raises(RecordingError, match=r"cannot be played: .* replay it without --live"):
         load_recorded_inputs(path)
     with pytest.raises(RecordingError, match="cannot be mapped: "):
         rebuild_map(path)

@@ -1,8 +1,8 @@
 """Pause, resume and abort a running scan: an abstract Unix socket that the same user may talk to, and keys.
 
 One request is one word, the answer one JSON object. The kernel removes the socket with the process.
-Any user may connect to an abstract socket: strangers take no room of others, and no descriptor that they
-pass is closed in this process, whose loop leads the arm (`shm.received_descriptors`).
+Any user may connect to an abstract socket: what strangers hold open takes no room of others, and no
+descriptor that they pass is closed in this process, whose loop leads the arm (`shm.received_descriptors`).
 """
 
 from __future__ import annotations
@@ -95,17 +95,21 @@ class ControlServer:
                 with contextlib.suppress(OSError):
                     connection.send(json.dumps(answer).encode())
             self._end(connection)
+        self._end_silent()
         with contextlib.suppress(OSError):  # no process to be had: tried again
             self._disposal.look()
         return received
 
     def _accept(self) -> None:
-        """Take new connections; of those that say nothing the oldest ones of strangers, and of others, go."""
+        """Take new connections, at most so many that a look takes a millisecond or two."""
         with contextlib.suppress(BlockingIOError):
             for _ in range(0 if self._disposal.full else ACCEPTED_AT_ONCE):
                 connection, _ = self._socket.accept()
                 connection.setblocking(False)
                 self._open.append(connection)
+
+    def _end_silent(self) -> None:
+        """End the oldest of more than `MOST_SILENT` silent connections: of strangers, and of others."""
         for trusted in (True, False):
             silent = [c for c in self._open if (_user(c) in (own_user(), 0)) == trusted]
             for connection in silent[:-MOST_SILENT]:
@@ -150,9 +154,14 @@ def ask(name: str, word: str) -> dict[str, Any]:
         it does not answer
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
-        connection.settimeout(ANSWER_S)
+        for option in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):  # settimeout does not wait for a full backlog
+            connection.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", int(ANSWER_S), 0))
         try:
             connection.connect(_address(name))
+        except BlockingIOError as e:
+            raise ServiceError(
+                f"the scan of service '{name}' took no connection within {ANSWER_S:g} s"
+            ) from e
         except OSError as e:
             raise NotRunningError(
                 f"no scan of service '{name}' runs; start one: surffollow scan run PATH --name {name}"

@@ -53,12 +53,17 @@ class Attachment(ServiceState, MapReading, Closing):
         stale_min_s: float = 0.005,
         owner: int | str | None = None,
     ) -> None:
-        if not isinstance(stale_periods, int) or stale_periods < 1:
+        try:
+            periods, least_s = int(stale_periods), float(stale_min_s)
+        except (TypeError, ValueError, OverflowError):  # NaN and infinity are no whole numbers
+            given = f"stale_periods {stale_periods!r}, stale_min_s {stale_min_s!r}"
+            raise UsageError(f"{given}: expected a whole number of at least 1, and a time [s]") from None
+        if periods != stale_periods or periods < 1:
             raise UsageError(f"stale_periods must be a whole number of at least 1, not {stale_periods!r}")
-        if not isinstance(stale_min_s, (int, float)) or not 0.0 <= stale_min_s <= LONGEST_STALE_S:
+        if not 0.0 <= least_s <= LONGEST_STALE_S:
             raise UsageError(f"stale_min_s must be 0 to {LONGEST_STALE_S:g} s, not {stale_min_s!r}")
         self.name = check_service_name(name)
-        self._stale_periods, self._stale_min_ns = stale_periods, int(stale_min_s * 1e9)
+        self._stale_periods, self._stale_min_ns = periods, int(least_s * 1e9)
         self._next_attach_ns, self._ended, self._closed = 0, False, False
         self._lock = threading.RLock()  # re-attaching, and what a client has beyond it
         self._refusal = ""  # why what bears the name now is not attached to

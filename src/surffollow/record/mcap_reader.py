@@ -152,9 +152,10 @@ class McapReader(Closing):
             if found >= 0:
                 end = start + found + len(MAGIC)
                 if end < self._size:
+                    own = f"; they are a file of their own: tail -c +{end + 1} {self.path.name}"
                     self.damage.add(
-                        f"{self._size - end} bytes follow its end and are not read; they are a file of their "
-                        f"own: tail -c +{end + 1} {self.path.name}",
+                        f"{self._size - end} bytes follow its end and are not read"
+                        + (own if self._read(end, len(MAGIC)) == MAGIC else ""),
                         lost_bytes=self._size - end,
                     )
                 return

@@ -127,7 +127,8 @@ def load_recorded_inputs(path: str | Path) -> RecordedInputs:
             runs = whole_segments(reader)
         except RecordingError as error:
             raise RecordingError(
-                f"{path} cannot be played: {error}; replay it without --live first"
+                f"{path} cannot be played: {error}; "
+                "replay it without --live, which leaves out what is missing"
             ) from None
         period_ns = reader.period_ns
     counts = np.zeros(3, np.int64)

@@ -112,9 +112,9 @@ def record_service(
     log = ServiceLog(name)
     feed: ChannelFeed | None = None
     try:
+        warm_up()  # before the feed compiles its kernel, which takes seconds
         files = Files(Path(out), log.about(), force, rotate_bytes, rotate_s, keep)
         writer = files.open_next()
-        warm_up()  # before the feed compiles its kernel, which takes seconds
         if rate_hz > 0:
             feed = ChannelFeed(writer, round(1e9 / rate_hz), log)
         recorder = Recorder(log, writer, feed, files if files.rotates else None)

@@ -39,7 +39,8 @@ class Pending(Schema):
     kept_arc_length_m = F64(PENDING_HEIGHTS, unit="m", doc="ring of their arc lengths")
     kept_height_m = F64(PENDING_HEIGHTS, unit="m", doc="and heights")
     rejected = I64(doc="outliers that did not agree with the one before, less the accepted samples since")
-    farthest_m = F64(unit="m", doc="greatest distance of one of those from the estimate")
+    least_m = F64(unit="m", doc="least innovation of those, 0 at most")
+    greatest_m = F64(unit="m", doc="greatest innovation of those, 0 at least")
     opposed = I64(doc="of those, outliers on the other side than the one before")
     odd = I64(doc="1: the newest outlier does not agree with the pending ones, which stay")
 

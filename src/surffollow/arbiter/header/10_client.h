@@ -216,7 +216,8 @@ static inline int sfa_attach_owner(sfa_client *a, const char *name, const char *
   memset(a, 0, sizeof *a);
   a->sock = -1;
   a->owner = -1;
-  if (name == NULL || client == NULL || strlen(name) >= sizeof a->name || strlen(client) >= sizeof a->client)
+  if (name == NULL || name[0] == '\0' || client == NULL || strlen(name) >= sizeof a->name ||
+      strlen(client) >= sizeof a->client)
     return -EINVAL;
   memcpy(a->name, name, strlen(name));
   memcpy(a->client, client, strlen(client));

@@ -134,8 +134,9 @@ def register_step(params, gate, pending, t_ns):
     # among outliers that agreed with none a step may be one of a burst, and says nothing about steps;
     # but those on an edge lie between the heights before and behind it
     step_m = pending.innovation_m / pending.samples
-    between = pending.opposed == 0 and pending.farthest_m <= abs(step_m) + gate.width_m
-    burst = pending.rejected >= CONFIRMATION_SAMPLES and not between
+    below = pending.least_m < min(step_m, 0.0) - gate.width_m
+    above = pending.greatest_m > max(step_m, 0.0) + gate.width_m
+    burst = pending.rejected >= CONFIRMATION_SAMPLES and (below or above)
     if (leaves_slot and gate.step_ns != 0) or burst:
         gate.slot_likelihood = 1.0
     gate.travel_since_step_m = 0.0

@@ -54,7 +54,9 @@ def _add_pending(adaptive, innovation_m, travel_m):
 def _count_rejected(pending):
     """Count the pending samples as outliers that did not agree with the next one."""
     pending.rejected += 1
-    pending.farthest_m = max(pending.farthest_m, abs(pending.innovation_m) / pending.samples)
+    innovation_m = pending.innovation_m / pending.samples
+    pending.least_m = min(pending.least_m, innovation_m)
+    pending.greatest_m = max(pending.greatest_m, innovation_m)
 
 
 @jit
@@ -137,7 +139,7 @@ def reject_pending(pending):
 def reset_pending(pending):
     """Drop the pending samples, and the number of rejected ones."""
     pending.samples = pending.rejected = pending.opposed = 0
-    pending.farthest_m = 0.0
+    pending.least_m = pending.greatest_m = 0.0
 
 
 @jit
@@ -145,4 +147,5 @@ def drop_pending(pending):
     """Drop the pending samples after an accepted one; in noise some are accepted by chance."""
     pending.samples, pending.rejected = 0, max(pending.rejected - 1, 0)
     pending.opposed = min(pending.opposed, pending.rejected)
-    pending.farthest_m = pending.farthest_m if pending.rejected > 0 else 0.0
+    if pending.rejected == 0:
+        pending.least_m = pending.greatest_m = 0.0

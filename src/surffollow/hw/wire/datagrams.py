@@ -117,8 +117,8 @@ class DatagramSource:
     def _is_next(self, data: bytes, now_ns: int) -> bool:
         """Whether a datagram is newer than the last one; how many are missing between them is counted.
 
-        A sensor that was switched off and on counts anew: two old numbers that ascend are new ones when no
-        newer number came for `silence_s`. A number that is repeated is not.
+        A sensor that was switched off and on counts anew: when no newer number came for `silence_s`, the
+        second of two old numbers that ascend is a new one. Copies of datagrams that come so late count, too.
         """
         if self._sequence is None or self._settings.sequence is None:
             return True
@@ -126,9 +126,10 @@ class DatagramSource:
         span = 1 << 8 * self._sequence.size
         ahead = (number - self._number) % span if self._number is not None else 1
         if not 0 < ahead < span // 2:
-            old, self._old = self._old, number
+            silent = now_ns - self._number_ns > self._settings.silence_s * 1e9
+            old, self._old = self._old, number if silent else None
             ascends = old is not None and 0 < (number - old) % span < span // 2
-            if not ascends or now_ns - self._number_ns <= self._settings.silence_s * 1e9:
+            if not ascends:
                 self._reject("datagrams repeat or go back in sequence; check the setting sequence")
                 return False
             ahead = 1
