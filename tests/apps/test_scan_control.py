@@ -93,7 +93,12 @@ def test_a_word_waits_for_room_where_all_connections_are_taken(server) -> None:
             one.setblocking(False)
             one.connect(f"\0surffollow.scan.{name}")
     assert len(held) < 1000
-    assert abort(name, control) == ["abort"]  # it was told that no scan runs
+    owner = threading.Thread(target=ask, args=(name, "abort"))
+    owner.start()
+    owner.join(0.3)
+    assert owner.is_alive()  # it was told that no scan runs
+    assert until(lambda: control.words({"state": "runs"}), "the word") == ["abort"]
+    owner.join()
     for one in held:
         one.close()
 

@@ -11,6 +11,7 @@ from surffollow.follower import Follower
 from surffollow.forecast.estimation.estimate import update_estimate
 from surffollow.forecast.estimation.innovation_gate import register_step
 from surffollow.forecast.estimation.model_bank import BANK
+from surffollow.forecast.estimation.pending_samples import drop_pending
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.sensing.latency_identification import (
     is_late,
@@ -116,6 +117,15 @@ def test_outliers_beyond_the_heights_beside_a_step_are_a_burst(least_m, greatest
     register_step(default_params(), gate, pending, 10**9)
     assert gate["slot_likelihood"] == likelihood
     assert (gate["step_m"] == 0.0) == (likelihood == 1.0)
+
+
+def test_outliers_of_long_ago_are_forgotten():
+    pending = zeros(AdaptiveState)[0]["pending"]
+    pending["rejected"], pending["least_m"], pending["greatest_m"] = 2, -0.02, 0.004
+    drop_pending(pending)
+    assert (pending["least_m"], pending["greatest_m"]) == (-0.02, 0.004)
+    drop_pending(pending)
+    assert (pending["least_m"], pending["greatest_m"]) == (0.0, 0.0)
 
 
 def test_after_one_slot_that_was_followed_the_next_one_is_not():

@@ -36,7 +36,7 @@ _MAX_UNKNOWN = 3
 def warm_up() -> None:
     """Compile the kernels of `Recorder.poll` or load them from the cache, on a log without entries.
 
-    Otherwise the first poll waits for whatever another thread compiles, and the log goes around meanwhile.
+    Without it the first poll waits for the kernels that another thread compiles, and entries are lost.
     """
     log, words = np.zeros(WORDS // 8 + 1, np.int64), np.zeros(1, np.int64)
     log_copy(log.ctypes.data, 1, log_head(log.ctypes.data), words.ctypes.data, words.size)

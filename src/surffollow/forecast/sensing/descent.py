@@ -59,7 +59,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     descent, before_ns, interval_s = adaptive.descent, adaptive.response.t_ns, adaptive.hold.interval_s
     number, band = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
     error_samples = 8.0 * number  # in the mean error: with more a slow sensor is named later
-    share_m = 0.1 * params.offset_m
+    share_m = 0.1 * params.offset_m  # below the lowest ground until then a descent is tested
     if before_ns == 0 or not 0 < t_ns - before_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
@@ -82,7 +82,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)
     descent.most_m = max(descent.most_m + fade * (descent.range_m - descent.most_m), descent.range_m)
     fall_m, rise_m = descent.top_z_m - descent.low_z_m, tool_z_m - descent.low_z_m
-    if rise_m > min(fall_m, max(MOTION_BANDS * band, 0.1 * fall_m)):
+    if rise_m > min(fall_m, max(MOTION_BANDS * band, 0.1 * fall_m)):  # another descent begins
         begin_descent(adaptive, tool_z_m, share_m)
     elif fall_m > params.offset_m:  # over ground that stays the tool would have touched it
         begin_descent(adaptive, tool_z_m, 2.0 * descent.reach_m)
@@ -136,7 +136,7 @@ def _is_testable(params, adaptive, t_ns, tool_z_m, spread_m):
     descent, response, estimate = adaptive.descent, adaptive.response, adaptive.estimate
     known = estimate.samples * adaptive.hold.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
     quick = mean_range.mean_samples(adaptive) >= mean_range.MAX_READINGS
-    narrow = spread_m < 0.1 * params.offset_m
+    narrow = spread_m < 0.1 * params.offset_m  # so that an answer can exceed it
     falls_m = abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, MIN_MEANS)
     has_room = descent.error_m + SWINGS[1] * spread_m + falls_m < params.range_max_m - params.offset_m
     # ground that was steep before may fall as steeply
