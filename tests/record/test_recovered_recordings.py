@@ -105,6 +105,8 @@ def test_the_recording_of_a_killed_service_is_recovered_and_played_around_what_i
     # GIVEN a service with a robot and a recorder, all killed, and a chunk of the file that the disk has lost
     cut = tmp_path / "run.mcap"
     text = config_text(kind="simulated", top='snapshot = "100 ms"')
+    # so long a log that a recorder which was put to sleep loses nothing
+    text = text.replace("log_words = 65536", "log_words = 1048576")
     with over_ground(tmp_path, text) as s, s.recorder(cut) as recorder:
         with s.attach() as client:
             drive(client, lambda: count_chunks(cut) >= 6, what="six chunks")
