@@ -29,6 +29,7 @@ from surffollow.shm.objects import SHM_ROOT, unlink
 from surffollow.shm.python_child import bound_command
 
 READY_S = 120.0
+# the driver starts before the service is ready: one invalid conversion, then this long nothing
 LEAD_NS = 3_000_000_000
 SETTLE_NS = 200_000_000
 
