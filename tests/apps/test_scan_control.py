@@ -73,6 +73,26 @@ def test_silent_connections_of_the_own_user_go_when_new_ones_come(server) -> Non
         one.close()
 
 
+def test_the_kernel_is_asked_once_for_the_user_of_a_connection(
+    server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, control = server
+    asked: list[socket.socket] = []
+    user = scan_control._user
+
+    def count(connection: socket.socket) -> int:
+        asked.append(connection)
+        return user(connection)
+
+    monkeypatch.setattr(scan_control, "_user", count)
+    held = [connected(name) for _ in range(5)]
+    for _ in range(3):
+        control.words({})
+    assert len(asked) == 5
+    for one in held:
+        one.close()
+
+
 @pytest.mark.parametrize("others", [9, 15])
 def test_a_word_that_came_before_other_connections_is_read(server, others: int) -> None:
     name, control = server

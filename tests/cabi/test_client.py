@@ -56,6 +56,14 @@ def test_names_that_no_service_can_have_are_refused_before_any_file_is_opened(
     assert probe("dev").result == -1
 
 
+@pytest.mark.parametrize(("stale_ms", "result"), [(86_400_000, OK), (86_400_001, -1), (9e12, -1), (-1, -1)])
+def test_no_client_takes_demands_for_valid_for_more_than_a_day(
+    make_probe: Callable[..., Probe], service: Service, stale_ms: float, result: int
+) -> None:
+    for how in ("attach", "observe"):
+        assert make_probe(stale_ms)(f"{how} {service.name}").result == result, how
+
+
 def test_demand_is_the_one_that_the_python_client_reads(probe: Probe, service: Service) -> None:
     assert probe(f"reset {STANDOFF_M}").result == OK
     with observe(service.name) as watcher:

@@ -101,6 +101,7 @@ def test_waits_and_limits_are_those_of_service_and_client() -> None:
         (lj.CLAIM_AGAIN_NS, refusal.FIRST_PAUSE_NS / 1e9),
         (cheader.REFUSED_NS, refusal.REFUSED_NS / 1e9),
         (cheader.STALE_MAX_NS, attachment.STALE_MAX_NS / 1e9),
+        (cheader.STALE_LONGEST_NS, attachment.LONGEST_STALE_S),
         (1e9 * cheader.STALE_LEAST_PERIODS, attachment.STALE_LEAST_PERIODS),
         (lj.REQUEST_LOST_NS, requests.LOST_S),
     ):

@@ -106,3 +106,9 @@ def test_on_boxes_at_speed_a_leading_sensor_halves_the_error() -> None:
         return float(np.mean([score_run(s, *run_method("ours", s)).rms_m for s in scenes]))
 
     assert rms_m(0.05) < 0.5 * rms_m(0.0)
+
+
+def test_over_waves_a_leading_sensor_follows_within_the_noise() -> None:
+    """Shadow axes compared with ground that they do not follow chose a wave of half the length (0.28 mm)."""
+    scenes = [scene_of(Cell("sine-200", 0.4, Conditions().but(lead_m=LEAD_M)), k) for k in range(40, 44)]
+    assert np.mean([score_run(s, *run_method("ours", s)).rms_m for s in scenes]) < 2e-4

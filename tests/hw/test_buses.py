@@ -15,7 +15,7 @@ from running_service import unique_name, until
 from surffollow.errors import ConfigError
 from surffollow.hw.driver import ConversionQueue
 from surffollow.hw.polled import GARBLED, RUNNING, SILENT, WAITING
-from surffollow.hw.wire.udp import _Received, is_own_address
+from surffollow.hw.wire.udp import UdpConfig, _Received, is_own_address
 
 IP_PKTINFO = 8  # the socket module has it from Python 3.14 on
 
@@ -136,6 +136,69 @@ def test_only_the_named_sender_is_listened_to() -> None:
         assert received.receive() == (b"true", "")
         found = "{}:{}".format(*stranger.getsockname())
         assert received.receive() == (b"forged", f"datagrams come from {found}, expected from {reported}")
+
+
+@pytest.mark.parametrize("named", ["address", "address:port"])
+def test_datagrams_of_strangers_take_no_room_in_the_queue_of_a_sensor(named: str) -> None:
+    with contextlib.ExitStack() as stack:
+        receiver, sensor, beside, elsewhere = (
+            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(4)
+        )
+        receiver.bind(("0.0.0.0", 0))
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        receiver.setblocking(False)
+        to = ("127.0.0.1", receiver.getsockname()[1])
+        for one, host in ((sensor, "127.0.0.2"), (beside, "127.0.0.2"), (elsewhere, "127.0.0.3")):
+            one.bind((host, 0))
+        strangers = [elsewhere] if named == "address" else [elsewhere, beside]
+        sender = "127.0.0.2" if named == "address" else "{}:{}".format(*sensor.getsockname())
+        received = _Received(receiver, sender)
+        # GIVEN a sensor that was heard
+        sensor.sendto(b"first", to)
+        assert received.receive() == (b"first", "")
+        # WHEN strangers send more than the queue holds, THEN the sensor's next datagram is received
+        for stranger in strangers:
+            for _ in range(100):
+                stranger.sendto(b"forged", to)
+        sensor.sendto(b"second", to)
+        assert received.receive() == (b"second", "")
+        with pytest.raises(BlockingIOError):
+            received.receive()
+        # AND of an address every port is heard
+        if named == "address":
+            beside.sendto(b"third", to)
+            assert received.receive() == (b"third", "")
+
+
+def test_a_sensor_that_changes_its_port_is_named_and_may_return(monkeypatch: pytest.MonkeyPatch) -> None:
+    # GIVEN a sensor on one port of a machine that counts as another one
+    monkeypatch.setattr(UdpConfig, "_check_sender", lambda config: None)
+    monkeypatch.setattr("surffollow.hw.wire.udp.is_own_address", lambda host: False)
+    with contextlib.ExitStack() as stack:
+        before, after = (
+            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)
+        )
+        for one in (before, after):
+            one.bind(("127.0.0.2", 0))
+        sender = "{}:{}".format(*before.getsockname())
+        settings = {"port": 0, "sender": sender, "format": LINE_FORMAT, "silence_s": 0.05, **WINDOW}
+        source = made({"kind": "udp", **settings})._source
+        source.open()
+        stack.callback(source.close)
+        to = ("127.0.0.1", source.port)
+
+        def taken(sensor: socket.socket) -> bool:
+            sensor.sendto(line(0.07), to)
+            return bool(source.read(0.01))
+
+        until(lambda: taken(before), "its first distance")
+        # WHEN it sends from another one, THEN that is named when it has been silent for a while
+        until(lambda: taken(after) or source.rejected, "the refusal")
+        assert source.rejection == "datagrams come from {}:{}, expected from {}".format(
+            *after.getsockname(), sender
+        )
+        # WHEN it returns, THEN it is heard
+        until(lambda: taken(before), "its distances")
 
 
 def test_the_fault_names_the_strangers_address_and_that_nothing_was_good() -> None:

@@ -15,7 +15,14 @@ from mcap.writer import CompressionType, Writer
 
 from surffollow.errors import RecordingError
 from surffollow.record.convert import convert
-from surffollow.record.format import MESSAGE_ENCODING, SCHEMA_ENCODING, SCHEMA_NAME, TOPIC, layout_description
+from surffollow.record.format import (
+    MESSAGE_ENCODING,
+    RECOVERED_NAME,
+    SCHEMA_ENCODING,
+    SCHEMA_NAME,
+    TOPIC,
+    layout_description,
+)
 from surffollow.record.map_rebuild import rebuild_map
 from surffollow.record.reader import Batch, RecordingReader
 from surffollow.record.recorded_inputs import load_recorded_inputs
@@ -36,11 +43,14 @@ from surffollow.shm.journal import (
 from surffollow.shm.layout_follow import FollowState
 
 Batches = list[tuple[Batch, np.ndarray]]
+DAMAGE = {"damage": "the chunk at byte 9 is damaged"}
 REFERENCE = 2 + PARAMS_WORDS + FollowState.offset("adaptive", "beams", "reference") // 8
 
 
-def rewritten(path: Path, change: Callable[[Batches], Batches]) -> Path:
-    """The recording with changed messages and right checksums."""
+def rewritten(
+    path: Path, change: Callable[[Batches], Batches], recovered: dict[str, str] | None = None
+) -> Path:
+    """The recording with changed messages and right checksums; `recovered`: as `recover` would write it."""
     with RecordingReader(path) as reader:
         batches = [(b, np.frombuffer(bytes(b.words), np.int64).copy()) for b in reader.batches()]
         summary = reader.summary
@@ -48,6 +58,8 @@ def rewritten(path: Path, change: Callable[[Batches], Batches]) -> Path:
     with RecordingWriter(out, force=True) as writer:
         for b, words in change(batches):
             writer.add_batch(b.segment, b.epoch, b.position, b.cycles, words, 0, 0)
+        if recovered is not None:
+            writer._mcap.add_metadata(RECOVERED_NAME, recovered)
         writer.finish(summary)
     return out
 
@@ -114,25 +126,88 @@ def turned_round(batches: Batches) -> Batches:
     return [batches[0], batches[2], batches[1], *batches[3:]]
 
 
+MISSING, BACK = "of the log are missing", "repeated, out of order, or of another run"
+
+
 @pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lost, "of the log are missing"),
-        (repeated, "repeated, out of order, or of another run"),
-        (turned_round, "of the log are missing"),
-    ],
+    ("change", "says", "played"),
+    [(lost, MISSING, MISSING), (repeated, BACK, BACK), (turned_round, MISSING, BACK)],
 )
 def test_messages_that_are_lost_repeated_or_turned_round_are_named_by_every_reader(
-    make_recording: Callable[..., Path], change: Callable[[Batches], Batches], says: str
+    make_recording: Callable[..., Path], change: Callable[[Batches], Batches], says: str, played: str
 ) -> None:
     path = rewritten(make_recording(cycles=1500), change)
     report = replay_file(path)
     assert says in report.damage
     assert not report.identical
-    with pytest.raises(RecordingError, match=says):
+    for read in (load_recorded_inputs, rebuild_map):
+        with pytest.raises(RecordingError, match=f"{played}.*no checksum is wrong: the file was edited"):
+            read(path)
+
+
+def again_as_another(batches: Batches) -> Batches:
+    """The last messages once more, as a segment of their own."""
+    return batches + [(b._replace(segment=1), words) for b, words in batches[-3:]]
+
+
+def segments_turned_round(batches: Batches) -> Batches:
+    segments = [(b._replace(segment=k, epoch=9 - k), words) for k in (0, 1) for b, words in batches]
+    return segments[len(batches) :] + segments[: len(batches)]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (repeated, BACK),
+        (turned_round, BACK),
+        (again_as_another, BACK),
+        (segments_turned_round, "segment 0 comes behind segment 1"),
+        (with_head(0, 3), "begins no entry"),
+    ],
+)
+def test_a_recovered_recording_that_was_edited_is_not_played(
+    make_recording: Callable[..., Path], change: Callable[[Batches], Batches], says: str
+) -> None:
+    # GIVEN a recovered recording that lacks messages
+    def lacking(batches: Batches) -> Batches:
+        return change(lost(batches))
+
+    made = make_recording(cycles=1500, snapshot_cycles=500)
+    load_recorded_inputs(rewritten(made, lost, DAMAGE))
+    # WHEN it was edited, too, THEN it is refused
+    path = rewritten(made, lacking, DAMAGE)
+    for read in (load_recorded_inputs, rebuild_map):
+        with pytest.raises(RecordingError, match=f"{says}.*no checksum is wrong: the file was edited"):
+            read(path)
+
+
+def test_a_segment_whose_front_is_lost_is_played_from_its_first_snapshot_on(
+    make_recording: Callable[..., Path],
+) -> None:
+    made = make_recording(cycles=1500, snapshot_cycles=500)
+    path = rewritten(made, lambda batches: batches[2:], DAMAGE)
+    inputs, report = load_recorded_inputs(path), replay_file(path)
+    [part] = inputs.left_out
+    assert report.left_out == rebuild_map(path).left_out == [part]
+    assert 0 < part.first_cycle < part.last_cycle == 499
+    assert inputs.conversion.size == 25 * report.cycles == 25 * 1000
+
+
+def test_a_recovered_recording_without_a_snapshot_is_refused(make_recording: Callable[..., Path]) -> None:
+    path = rewritten(make_recording(cycles=900), lambda batches: batches[1:], DAMAGE)
+    for read in (load_recorded_inputs, rebuild_map):
+        with pytest.raises(
+            RecordingError, match=r"not begin with a snapshot, and no snapshot follows.*record the"
+        ):
+            read(path)
+
+
+def test_a_gap_without_damage_is_not_played_behind_a_recover_either(
+    make_recording: Callable[..., Path],
+) -> None:
+    path = recover(rewritten(make_recording(cycles=1500), lost)).file
+    with pytest.raises(RecordingError, match=f"{MISSING}.*the file was edited"):
         load_recorded_inputs(path)
-    with pytest.raises(RecordingError, match=says):
-        rebuild_map(path)
 
 
 @pytest.mark.parametrize("reference", [-9, 8, 1 << 40])

@@ -61,7 +61,7 @@ def test_a_relief_of_metres_below_a_stand_off_of_metres_is_in_the_map_and_in_the
         recorder.send_signal(signal.SIGTERM)
         recorder.communicate(timeout=60)
     # AND the map of the recording has them, in the same counts from the same datum
-    rebuilt = rebuild_map(out)
+    rebuilt = rebuild_map(out).map
     assert (rebuilt.quantum_m, rebuilt.datum_m) == (known.quantum_m, known.datum_m)
     again = [rebuilt.height_at(x, 5.0) for x in places]
     np.testing.assert_allclose(again, list(places.values()), atol=6e-3)

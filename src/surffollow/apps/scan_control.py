@@ -76,7 +76,7 @@ class ControlServer:
         refuse_rights(self._socket)
         self._socket.listen(BACKLOG)
         self._socket.setblocking(False)
-        self._open: list[socket.socket] = []
+        self._open: dict[socket.socket, int] = {}  # and the user at the other end, the oldest first
         self._disposal = Disposal()
 
     def words(self, status: dict[str, Any]) -> list[str]:
@@ -106,24 +106,27 @@ class ControlServer:
             for _ in range(0 if self._disposal.full else ACCEPTED_AT_ONCE):
                 connection, _ = self._socket.accept()
                 connection.setblocking(False)
-                self._open.append(connection)
+                self._open[connection] = _user(connection)
 
     def _end_silent(self) -> None:
         """End the oldest of more than `MOST_SILENT` silent connections: of strangers, and of others."""
-        for trusted in (True, False):
-            silent = [c for c in self._open if (_user(c) in (own_user(), 0)) == trusted]
+        trusted = (own_user(), 0)
+        own = [c for c, user in self._open.items() if user in trusted]
+        strange = [c for c, user in self._open.items() if user not in trusted]
+        for silent in (own, strange):
             for connection in silent[:-MOST_SILENT]:
                 self._end(connection)
 
     def _end(self, connection: socket.socket) -> None:
-        self._open.remove(connection)
+        del self._open[connection]
         self._disposal.part(connection)
 
     def _answer(
         self, connection: socket.socket, word: str, status: dict[str, Any], received: list[str]
     ) -> dict[str, Any]:
-        if _user(connection) not in (own_user(), 0):
-            return {"error": f"user {_user(connection)} may not control a scan of user {own_user()}"}
+        user = self._open[connection]
+        if user not in (own_user(), 0):
+            return {"error": f"user {user} may not control a scan of user {own_user()}"}
         if word not in WORDS:
             return {"error": f"unknown word '{word}'; expected one of {', '.join(WORDS)}"}
         if word != "status":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from surffollow.cli.clipped_heights import warn_of_clipped
+from surffollow.cli.convert import report_damage
 from surffollow.cli.csv_replay import TABLES, output_suffix, replay_csv_command
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
@@ -88,8 +89,7 @@ def replay_command(
             _write_map(file, map_out)
         damage = _write_outputs(file, out, plot, suffix)
         if live:
-            _play_live(file, name, as_json)
-            _end_with(damage)
+            _end_with(damage + _play_live(file, name, as_json))
         else:
             _replay_recording(file, as_json, damage)
 
@@ -112,18 +112,24 @@ def _write_outputs(file: str, out: str | None, plot: str | None, suffix: str | N
 
 def _write_map(file: str, map_out: str) -> None:
     from surffollow.map.files import export
+    from surffollow.record.left_out import listed
     from surffollow.record.map_rebuild import rebuild_map
 
-    rebuilt = rebuild_map(file)
+    rebuilt, left_out = rebuild_map(file)
     export(map_out, rebuilt.header, rebuilt.pairs)
     warn_of_clipped(rebuilt.header)
+    if left_out:
+        lacking = f"without the target points and map commands of {listed(left_out)}"
+        report_damage([f"{map_out}: {lacking}, which are lost or stand between a loss and a snapshot"])
 
 
-def _play_live(file: str, name: str | None, as_json: bool) -> None:
+def _play_live(file: str, name: str | None, as_json: bool) -> list[str]:
+    """Play it and print the counts; what was left out."""
     import json
     from dataclasses import asdict
 
     from surffollow.cli.progress import progress_line, stop_event
+    from surffollow.record.left_out import listed
     from surffollow.record.live_replay import play_live
 
     with progress_line() as progress:
@@ -136,14 +142,14 @@ def _play_live(file: str, name: str | None, as_json: bool) -> None:
             f"({r.poses_refused} refused) in "
             f"{r.seconds:.1f} s, {r.cycles} cycles; {r.valid} of {r.poses} demands valid"
             + ("" if r.finished else "; ended early")
+            + (f"; recovered from a damaged file: {r.recovered}" if r.recovered else "")
         )
+    return [f"{file}: not played: {listed(r.left_out)}"] if r.left_out else []
 
 
 def _end_with(damage: list[str]) -> None:
-    """Exit code 1 when a written file is not whole."""
+    """Exit code 1 when a written file or the recording is not whole."""
     import sys
-
-    from surffollow.cli.convert import report_damage
 
     report_damage(damage)
     if damage:
@@ -168,6 +174,7 @@ def _replay_recording(file: str, as_json: bool, damage: list[str]) -> None:
 
 def report_text(file: str, report: object) -> str:
     """A `ReplayReport` as text."""
+    from surffollow.record.left_out import listed
     from surffollow.record.replay import ReplayReport
 
     assert isinstance(report, ReplayReport)
@@ -180,7 +187,9 @@ def report_text(file: str, report: object) -> str:
     if not r.complete:
         lines.append(
             f"DAMAGED: {r.damage}; {r.lost_bytes} bytes lost; {r.cycles_not_replayed} cycles not replayed "
-            "(in the damage, and behind it up to the next snapshot); the other whole entries were compared"
+            "(in the damage, and behind it up to the next snapshot"
+            + (f": {listed(r.left_out)}" if r.left_out else "")
+            + "); the other whole entries were compared"
         )
     if r.recovered:
         lines.append(f"RECOVERED from a damaged file: {r.recovered}")

@@ -121,6 +121,7 @@ SF_STATIC_ASSERT(__GCC_ATOMIC_LLONG_LOCK_FREE == 2 && sizeof(long long) == 8, "6
 #define SF_LOOK_EVERY_NS 100000000
 #define SF_STALE_MAX_NS 100000000
 #define SF_STALE_LEAST_PERIODS 3
+#define SF_STALE_LONGEST_NS 86400000000000
 #define SF_REFUSED_NS 1000000000
 #define SF_SLOT_WAIT_NS 3000000000
 #define SF_EXCHANGE_NS 1000000000
@@ -1198,7 +1199,7 @@ typedef struct sf_options {
                            20 ms while stale); 0: call sf_reattach where it suits */
   int64_t stale_periods; /* cycles of silence after which demands become zero: at most SF_STALE_MAX_NS, or
                             SF_STALE_LEAST_PERIODS of them where that is longer ... */
-  int64_t stale_min_ns;  /* ... but never sooner than this */
+  int64_t stale_min_ns;  /* ... but never sooner than this, which is at most SF_STALE_LONGEST_NS (a day) */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
   int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this); of all times to
                             wait INT64_MAX means for ever */
@@ -1855,7 +1856,8 @@ static inline void sf_forget(sf_client *c) {
 /*
  * Attach to a running service, in `ready_wait_ns` and SF_SLOT_WAIT_NS at most. `options` NULL: the defaults. The client needs no initialisation;
  * attaching one that is attached leaks.
- * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _OWNER, _SYSTEM.
+ * SF_OK, SF_ERR_ARGUMENT, _NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _OWNER,
+ * _SYSTEM.
  */
 static inline int sf_attach_with(sf_client *c, const char *name, const sf_options *options) {
   if (c == NULL) return SF_ERR_ARGUMENT;
@@ -1870,8 +1872,8 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   c->options = options != NULL ? *options : sf_default_options();
   c->options.ready_wait_ns = sf_i_wait_ns(c->options.ready_wait_ns);
   c->options.timeout_ns = sf_i_wait_ns(c->options.timeout_ns);
-  if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0 || c->options.owner < SF_OWNER_DEFAULT)
-    return SF_ERR_ARGUMENT;
+  if (c->options.stale_periods < 1 || c->options.owner < SF_OWNER_DEFAULT) return SF_ERR_ARGUMENT;
+  if (c->options.stale_min_ns < 0 || c->options.stale_min_ns > SF_STALE_LONGEST_NS) return SF_ERR_ARGUMENT;
   if (name == NULL || !sf_i_name_ok(name)) return SF_ERR_NAME;
   memcpy(c->name, name, strlen(name));
   const char *label = c->options.label;

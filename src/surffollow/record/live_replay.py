@@ -8,7 +8,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from surffollow.client import Client, attach
 from surffollow.errors import PoseError, ServiceError
+from surffollow.record.left_out import LeftOut
 from surffollow.record.recorded_inputs import RecordedInputs, load_recorded_inputs
 from surffollow.record.replay_service import (
     LEAD_NS,
@@ -27,12 +28,14 @@ from surffollow.record.replay_service import (
 )
 from surffollow.record.service_log import ServiceLog
 
-# the driver starts before the service is ready: one invalid conversion, then this long nothing
-
 
 @dataclass
 class LiveReport:
-    """Counts of a played recording."""
+    """Counts of a played recording.
+
+    `left_out` names the cycles of a recovered recording that were not played, and `recovered` the damage of
+    the file that it was made of.
+    """
 
     name: str
     seconds: float = 0.0
@@ -46,6 +49,8 @@ class LiveReport:
     valid: int = 0
     late_p99_ns: int = 0
     finished: bool = False
+    left_out: list[LeftOut] = field(default_factory=list)
+    recovered: str = ""
 
 
 def play_live(
@@ -66,11 +71,13 @@ def play_live(
 
     Raises
     ------
-    RecordingError  the file is damaged or holds no conversions
+    RecordingError  the file is damaged, was edited, or holds no conversions
     ServiceError    the service did not start, or died
     """
     inputs = load_recorded_inputs(path)
-    report = LiveReport(name=name or f"replay-{os.getpid()}")
+    report = LiveReport(
+        name=name or f"replay-{os.getpid()}", left_out=inputs.left_out, recovered=inputs.recovered
+    )
     stop = stop or threading.Event()
     try:
         with tempfile.TemporaryDirectory(prefix="surffollow-") as folder:

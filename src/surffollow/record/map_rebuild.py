@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surffollow.errors import RecordingError
 from surffollow.forecast.step import follow_step
 from surffollow.map import HeightMap
+from surffollow.record.left_out import LeftOut
 from surffollow.record.log_kernels import entry_length, numbers_in_bounds, take_request
 from surffollow.record.reader import RecordingReader
 from surffollow.record.whole_segments import whole_segments
@@ -101,7 +102,7 @@ class Remapper:
         self.scratch, self.out = np.zeros(7), np.zeros(3, np.int64)
 
     def segment(self, words: NDArray[np.int64]) -> None:
-        """Step over the words of a whole segment."""
+        """Step over whole entries: those of a segment, or MAP entries alone."""
         records = (self.params, self.state, self.inputs, self.output)
         views = (self.params.view(np.int64), self.state.view(np.int64))
         floats, at = words.view(np.float64), 0
@@ -185,23 +186,33 @@ def map_of_points(points_m: NDArray[np.float64]) -> HeightMap:
     return made
 
 
-def rebuild_map(path: str | Path) -> HeightMap:
+class RebuiltMap(NamedTuple):
+    """The map of a recording, and the cycles of a recovered one whose target points are not in it."""
+
+    map: HeightMap
+    left_out: list[LeftOut]
+
+
+def rebuild_map(path: str | Path) -> RebuiltMap:
     """The map that the recorded run's target points make, with the default memory and resolution.
 
     A MapReset in the recording begins it anew, a MapRefocus is carried out where it was asked for.
     Without a MapReset the map lies over all target points. A recording does not hold the
     heights of a map that was installed: unless a MapReset follows, such a run is refused.
+    In a recovered recording map commands may be lost, too.
 
     Raises
     ------
-    RecordingError  not readable, damaged, without one target point, or with an installed map at its end
+    RecordingError
+        not readable, damaged, edited, without one target point, or with an installed map at its end
     """
     with RecordingReader(path) as reader:
         try:
-            segments = whole_segments(reader)
+            whole = whole_segments(reader)
         except RecordingError as error:
             raise RecordingError(f"{path} cannot be mapped: {error}") from None
     remapper = Remapper()
-    for words in segments:
-        remapper.segment(words)
-    return remapper.finish()
+    for segment in whole.segments:
+        remapper.segment(segment.commands)
+        remapper.segment(segment.words)
+    return RebuiltMap(remapper.finish(), whole.left_out)

@@ -107,6 +107,7 @@ class RecordingReader(McapReader):
 
     def batches(self) -> Iterator[Batch]:
         """All whole messages of the cycle log, in the order of the file; other channels are passed over."""
+        self.recovered = {}
         for opcode, body in self.records():
             if opcode == MESSAGE:
                 if len(body) < MESSAGE_HEAD.size:
@@ -126,8 +127,9 @@ class RecordingReader(McapReader):
                 name, values = read_metadata(body)
                 if name == SUMMARY_NAME:
                     self.summary = values
-                elif name == RECOVERED_NAME:
-                    self.recovered = values
+                elif name == RECOVERED_NAME:  # one for each time
+                    damage = filter(None, (self.recovered.get("damage"), values.get("damage")))
+                    self.recovered = values | {"damage": "; ".join(damage)}
 
 
 def missing_words(expected: int, position: int) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surffollow.config.params import PARAMS as TABLE
 from surffollow.errors import RecordingError
+from surffollow.record.left_out import LeftOut
 from surffollow.record.reader import RecordingReader
 from surffollow.record.whole_segments import whole_segments
 from surffollow.shm.conversion import conversion_dt_ns
@@ -101,6 +102,8 @@ class RecordedInputs:
     period_ns : int              of the cycle
     changes : list               (time [ns], {parameter: value}); a new stand-off among them is a SFReset
     resets : list                (time [ns], offset [m])
+    left_out : list of LeftOut   in a recovered file
+    recovered : str              damage of the file that this one was recovered from
     """
 
     first_ns: int
@@ -113,24 +116,24 @@ class RecordedInputs:
     period_ns: int
     changes: list[tuple[int, dict[str, float]]] = field(default_factory=list)
     resets: list[tuple[int, float]] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)
+    recovered: str = ""
 
 
 def load_recorded_inputs(path: str | Path) -> RecordedInputs:
-    """Read the inputs of a recording.
+    """Read the inputs of a recording; of a recovered one those from snapshot to loss.
 
     Raises
     ------
-    RecordingError  not readable, damaged, or without conversions
+    RecordingError  not readable, damaged, edited, or without conversions
     """
     with RecordingReader(path) as reader:
         try:
-            runs = whole_segments(reader)
+            whole = whole_segments(reader)
         except RecordingError as error:
-            raise RecordingError(
-                f"{path} cannot be played: {error}; "
-                "replay it without --live, which leaves out what is missing"
-            ) from None
+            raise RecordingError(f"{path} cannot be played: {error}") from None
         period_ns = reader.period_ns
+    runs = [segment.words for segment in whole.segments]
     counts = np.zeros(3, np.int64)
     for words in runs:
         count_inputs(words, counts)
@@ -155,7 +158,7 @@ def load_recorded_inputs(path: str | Path) -> RecordedInputs:
                 t_ns,
                 conversion,
                 poses[:, :2],
-                poses[:, 2:].copy().view(np.float64),
+                poses[:, 2:].view(np.float64),
                 _params(words, 0),
                 period_ns,
             )
@@ -164,7 +167,7 @@ def load_recorded_inputs(path: str | Path) -> RecordedInputs:
             now = _take_event(out, words, row, now)
         end_ns = _last_time(words) + shift_ns
     assert out is not None
-    out.last_ns = end_ns
+    out.last_ns, out.left_out, out.recovered = end_ns, whole.left_out, whole.recovered
     order = np.argsort(t_ns, kind="stable")
     out.conversion_t_ns, out.conversion = t_ns[order], conversion[order]
     return out

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from surffollow.errors import RecordingError
+from surffollow.record.left_out import LeftOut, SnapshotSearch
 from surffollow.record.log_kernels import (
     R_COUNT,
     R_CYCLES,
@@ -21,26 +22,17 @@ from surffollow.record.log_kernels import (
     R_SNAPSHOTS,
     R_STARTED,
     R_STATES_DIFFERING,
-    W_BAD,
-    W_COUNT,
     W_CYCLES,
-    W_END,
-    W_FIRST_CYCLE,
-    W_LAST_CYCLE,
-    W_SNAPSHOT,
     replay_words,
-    walk_entries,
 )
 from surffollow.record.mcap_reader import Damage
 from surffollow.record.reader import Batch, RecordingReader, missing_words
 from surffollow.shm.dtypes import zeros
-from surffollow.shm.journal import CYCLE_HEAD, PARAMS_WORDS, SNAPSHOT_WORDS
+from surffollow.shm.journal import CYCLE_HEAD
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 
 # words stepped in one call of the kernel: many batches, and they stay in the cache
 _RUN_WORDS = 1 << 17
-_ALL = 1 << 62
-_SNAPSHOT_CYCLE_WORD = 2 + PARAMS_WORDS + FollowState.offset("cycle") // 8
 
 
 @dataclass
@@ -71,13 +63,14 @@ class ReplayReport:
     is whole up to the cut; `recovered` then names the damage of the file that it was made of.
 
     `cycles_not_replayed` counts cycles of damaged or missing parts of this file, and those behind them up
-    to the next snapshot; cycles behind the last whole chunk are not known. `lost_cycles` is the
-    recorder's own count of cycles that it did not get into the file.
+    to the next snapshot, which `left_out` names; cycles behind the last whole chunk are not known.
+    `lost_cycles` is the recorder's own count of cycles that it did not get into the file.
     """
 
     identical: bool = False
     cycles: int = 0
     cycles_not_replayed: int = 0
+    left_out: list[LeftOut] = field(default_factory=list)
     segments: int = 0
     differing: int = 0
     first_difference: Difference | None = None
@@ -116,13 +109,12 @@ class _Segments:
         self.key: tuple[int, int] = (-1, -1)
         self.position = -1
         self.synced = False  # what is collected began with a snapshot
-        self.last_cycle = -1  # replayed or counted as left out; -1: none yet in this segment
+        self.search = SnapshotSearch()
         self.params, self.state = zeros(Params), zeros(FollowState)
         self.inputs, self.output = zeros(Inputs), zeros(Output)
         self.scratch = np.zeros(7)
         self.first = np.zeros(9, np.int64)
         self.tally = np.zeros(R_COUNT, np.int64)
-        self.walk = np.zeros(W_COUNT, np.int64)
 
     def add(self, batch: Batch) -> None:
         n, key = len(batch.words) // 8, (batch.segment, batch.epoch)
@@ -131,7 +123,7 @@ class _Segments:
             if key == self.key:
                 self.faults.add(missing_words(self.position, batch.position))
             else:
-                self.last_cycle = -1
+                self.search.begin(batch.segment)
             self.key, self.synced = key, False
         if self.filled + n > self.words.size:
             self.run()
@@ -148,38 +140,27 @@ class _Segments:
 
     def _seek_snapshot(self, n: int, cycles: int) -> None:
         """Collect the batch from its first snapshot on; count the cycles before it, or all of them."""
-        words, walk = self.words[:n], self.walk
-        walk_entries(words, n, _ALL, 1, walk)
-        if walk[W_LAST_CYCLE] >= 0:
-            before = int(walk[W_FIRST_CYCLE]) - 1 if self.last_cycle < 0 else self.last_cycle
-            self._leave_out(int(walk[W_LAST_CYCLE]) - before, int(walk[W_LAST_CYCLE]))
-        at = int(walk[W_END])
-        if walk[W_BAD] or walk[W_SNAPSHOT] < 0 or at + SNAPSHOT_WORDS > n:
+        words = self.words[:n]
+        at = self.search.find(words)
+        if at < 0:
             return
-        before = int(words[at + _SNAPSHOT_CYCLE_WORD]) - 1
-        if self.last_cycle >= 0:
-            self._leave_out(before - self.last_cycle, before)
         words[: n - at] = words[at:].copy()
-        self.filled, self.filled_cycles = n - at, cycles - int(walk[W_CYCLES])
+        self.filled, self.filled_cycles = n - at, cycles - int(self.search.walk[W_CYCLES])
         self.tally[R_STARTED] = 0
         self.synced = True
         self.report.segments += 1
-
-    def _leave_out(self, cycles: int, last: int) -> None:
-        self.report.cycles_not_replayed += max(0, cycles)
-        self.last_cycle = last
 
     def run(self) -> None:
         """Step over what was collected."""
         at, before = 0, int(self.tally[R_CYCLES])
         while at < self.filled:
             taken = self._step(at)
-            self.last_cycle = int(self.tally[R_LAST_CYCLE])
+            last = self.search.last_cycle = int(self.tally[R_LAST_CYCLE])
             at += taken
             if at < self.filled:
                 self.faults.add(f"the word at {self.position - self.filled + at} begins no entry")
                 left = self.filled_cycles - (int(self.tally[R_CYCLES]) - before)
-                self._leave_out(left, self.last_cycle + max(0, left))
+                self.search.leave_out(last + 1, last + max(0, left))
                 self.synced = False
                 break
         self.filled = self.filled_cycles = 0
@@ -249,6 +230,8 @@ def _conclude(report: ReplayReport, segments: _Segments, reader: RecordingReader
     if report.states_differing:
         report.first_state_difference = int(tally[R_FIRST_STATE_CYCLE])
     report.gaps, report.events = int(tally[R_GAPS]), int(tally[R_EVENTS])
+    report.left_out = segments.search.left_out
+    report.cycles_not_replayed = sum(part.cycles for part in report.left_out)
     if reader.damage or segments.faults:
         report.complete = False
         report.damage = "; ".join(str(x) for x in (reader.damage, segments.faults) if x)

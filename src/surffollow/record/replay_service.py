@@ -31,6 +31,7 @@ from surffollow.shm.python_child import bound_command
 
 READY_S = 120.0
 LOOK_S = 0.05  # between looks at the end that the caller wants
+# the driver starts before the service is ready: one invalid conversion, then this long nothing
 LEAD_NS = 3_000_000_000
 SETTLE_NS = 200_000_000
 

@@ -60,6 +60,7 @@ LOOK_EVERY_NS = 100_000_000
 # 1 s would keep the demand of a dead service for 20 s; it lives for some periods in any case
 STALE_MAX_NS = 100_000_000
 STALE_LEAST_PERIODS = 3
+STALE_LONGEST_NS = 86_400_000_000_000  # that a client may choose: beyond, old demands stay valid for ever
 REFUSED_NS = 1_000_000_000  # between two requests of a control loop for what another client holds
 SLOT_WAIT_NS = 3_000_000_000  # for attach to get a slot
 EXCHANGE_NS = 1_000_000_000  # for one exchange, or the answer to a claim of the pose; then it is begun anew
@@ -160,6 +161,7 @@ def _defines() -> Iterator[tuple[str, str]]:
     yield "LOOK_EVERY_NS", str(LOOK_EVERY_NS)
     yield "STALE_MAX_NS", str(STALE_MAX_NS)
     yield "STALE_LEAST_PERIODS", str(STALE_LEAST_PERIODS)
+    yield "STALE_LONGEST_NS", str(STALE_LONGEST_NS)
     yield "REFUSED_NS", str(REFUSED_NS)
     yield "SLOT_WAIT_NS", str(SLOT_WAIT_NS)
     yield "EXCHANGE_NS", str(EXCHANGE_NS)

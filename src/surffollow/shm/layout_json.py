@@ -216,6 +216,7 @@ def _waits() -> dict[str, int]:
         "stale_min_ns": STALE_MIN_NS,
         "stale_max_ns": cheader.STALE_MAX_NS,
         "stale_least_periods": cheader.STALE_LEAST_PERIODS,
+        "stale_longest_ns": cheader.STALE_LONGEST_NS,
         "reattach_every_ns": cheader.REATTACH_EVERY_NS,
         "look_every_ns": cheader.LOOK_EVERY_NS,
         "pose_future_ns": cheader.POSE_FUTURE_NS,

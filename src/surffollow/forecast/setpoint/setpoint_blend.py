@@ -12,6 +12,7 @@ from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest,
 from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
 from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
+from surffollow.forecast.terrain.terrain_buffer import sensor_leads
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
 
@@ -93,7 +94,7 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m, renew):
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (updated)
-    ahead_m : float64     distance beyond the newest footprint [m]; a sensor that leads counts as 0
+    ahead_m : float64     from the newest footprint to the point under the tool when the demand acts [m]
     standoff_m : float64  desired height of the tool above the ground [m]
     renew : bool          a sample, a pose or a controller period is new: the models are blended
 
@@ -112,6 +113,8 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m, renew):
         since_s = (clock.now_ns - estimate.sample_ns) * 1e-9
         ahead_m = speed_mps * (since_s + controller_clock.mean_wait_s(params, adaptive.controller))
     elif not turned:
+        if sensor_leads(adaptive):  # setpoints are for its footprint: the shadow axes are compared there
+            ahead_m += adaptive.sample.lead_m
         ahead_m = max(ahead_m - shadow_axes.uncompared_m(adaptive), 0.0)
     lead_length_m = speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:

@@ -115,7 +115,10 @@ def update_share(adaptive, known):
     preview, leads = adaptive.preview, terrain_buffer.sensor_leads(adaptive)
     sure = adaptive.clock.now_ns >= preview.suspended_until_ns and known_ground.is_useful(adaptive)
     usable = known >= 7 and (leads or sure)
-    preview.share += 0.15 if usable else -0.15
+    if usable and leads:  # the blend is for its footprint: a part of it is no setpoint for the tool
+        preview.share = 1.0
+    else:
+        preview.share += 0.15 if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0
     return preview.share > 0.0

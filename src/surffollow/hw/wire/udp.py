@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import socket
+import time
 from typing import Any
 
 from surffollow.config.key_errors import convert_table
@@ -13,6 +14,7 @@ from surffollow.hw.polled import PolledDriver
 from surffollow.hw.range_settings import RangeSettings
 from surffollow.hw.wire.datagrams import DATAGRAM_BYTES, Datagrams, DatagramSource, bind_socket
 from surffollow.hw.wire.frame_format import Format, Number, reader_of
+from surffollow.hw.wire.sender_filter import admit_all, admit_only
 
 ANY = "any"
 # a program gives its datagrams any address of its machine (IP_PKTINFO), also when another one is bound to it
@@ -86,17 +88,31 @@ class UdpConfig(RangeSettings, frozen=True, forbid_unknown_fields=True):
 
 
 class _Received:
-    """Datagrams of one bound port; see `datagrams.Datagrams`."""
+    """Datagrams of one bound port; see `datagrams.Datagrams`.
+
+    From the sender's first datagram on, those of others do not reach the queue: they could fill it.
+    """
 
     def __init__(self, opened: socket.socket, sender: str) -> None:
         self.socket, self._sender = opened, sender
+        self._filtered, self._accepted_s = False, 0.0
 
     def receive(self) -> tuple[bytes, str]:
         """The next datagram, and why its sender is refused."""
         data, (address, port) = self.socket.recvfrom(DATAGRAM_BYTES)
         if self._sender in (ANY, address, f"{address}:{port}"):
+            self._accepted_s = time.monotonic()
+            if not self._filtered and self._sender != ANY:
+                admit_only(self.socket, self._sender)
+                self._filtered = True
             return data, ""
         return data, f"datagrams come from {address}:{port}, expected from {self._sender}"
+
+    def end_filter(self, silence_s: float) -> None:
+        """Look at all datagrams again when the sender is silent for so long: who sends instead is named."""
+        if self._filtered and time.monotonic() - self._accepted_s > silence_s:
+            admit_all(self.socket)
+            self._filtered = False
 
 
 class UdpSource(DatagramSource):
@@ -106,6 +122,14 @@ class UdpSource(DatagramSource):
         super().__init__("UDP port {}:{}".format(*config.address), config, info)
         self.port = config.port  # the one that was given, where 0 was asked for
         self._config = config
+        self._received: _Received | None = None
+
+    def read(self, timeout_s: float) -> list[tuple[int, int]]:
+        """Conversions, with their datagram's arrival as timestamp."""
+        out = super().read(timeout_s)
+        if not out and self._received is not None:
+            self._received.end_filter(self._config.silence_s)
+        return out
 
     def bind(self) -> Datagrams:
         """Bind the port; an address of this machine identifies no sender."""
@@ -116,7 +140,8 @@ class UdpSource(DatagramSource):
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         bind_socket(opened, self._config.address)
         self.port = opened.getsockname()[1]
-        return _Received(opened, sender)
+        self._received = _Received(opened, sender)
+        return self._received
 
 
 def is_own_address(host: str) -> bool:

@@ -20,7 +20,7 @@ typedef struct sf_options {
                            20 ms while stale); 0: call sf_reattach where it suits */
   int64_t stale_periods; /* cycles of silence after which demands become zero: at most SF_STALE_MAX_NS, or
                             SF_STALE_LEAST_PERIODS of them where that is longer ... */
-  int64_t stale_min_ns;  /* ... but never sooner than this */
+  int64_t stale_min_ns;  /* ... but never sooner than this, which is at most SF_STALE_LONGEST_NS (a day) */
   int64_t ready_wait_ns; /* how long to wait for a service that is starting */
   int64_t timeout_ns;    /* how long a request waits for its answer (map requests: six times this); of all times to
                             wait INT64_MAX means for ever */

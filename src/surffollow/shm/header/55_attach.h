@@ -81,7 +81,8 @@ static inline void sf_forget(sf_client *c) {
 /*
  * Attach to a running service, in `ready_wait_ns` and SF_SLOT_WAIT_NS at most. `options` NULL: the defaults. The client needs no initialisation;
  * attaching one that is attached leaks.
- * SF_OK, SF_ERR_NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _OWNER, _SYSTEM.
+ * SF_OK, SF_ERR_ARGUMENT, _NAME, _NOT_RUNNING, _NO_PERMISSION, _NOT_READY, _LAYOUT, _BLOCK, _SLOTS, _OWNER,
+ * _SYSTEM.
  */
 static inline int sf_attach_with(sf_client *c, const char *name, const sf_options *options) {
   if (c == NULL) return SF_ERR_ARGUMENT;
@@ -96,8 +97,8 @@ static inline int sf_attach_with(sf_client *c, const char *name, const sf_option
   c->options = options != NULL ? *options : sf_default_options();
   c->options.ready_wait_ns = sf_i_wait_ns(c->options.ready_wait_ns);
   c->options.timeout_ns = sf_i_wait_ns(c->options.timeout_ns);
-  if (c->options.stale_periods < 1 || c->options.stale_min_ns < 0 || c->options.owner < SF_OWNER_DEFAULT)
-    return SF_ERR_ARGUMENT;
+  if (c->options.stale_periods < 1 || c->options.owner < SF_OWNER_DEFAULT) return SF_ERR_ARGUMENT;
+  if (c->options.stale_min_ns < 0 || c->options.stale_min_ns > SF_STALE_LONGEST_NS) return SF_ERR_ARGUMENT;
   if (name == NULL || !sf_i_name_ok(name)) return SF_ERR_NAME;
   memcpy(c->name, name, strlen(name));
   const char *label = c->options.label;
