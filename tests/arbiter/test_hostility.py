@@ -211,7 +211,7 @@ def test_a_request_that_was_not_answered_in_time_is_withdrawn(make_arbiter):
             until(lambda: watcher.status()["resources"]["robot"]["state"] == "FREE")
             assert not robot.held
     assert robot.request()
-    for timeout_s in (-1.0, math.inf, math.nan):
+    for timeout_s in (-1.0, math.inf, math.nan, "1", None):
         with pytest.raises(UsageError, match="timeout_s"):
             robot.request(timeout_s=timeout_s)
     assert robot.held

@@ -151,7 +151,13 @@ def test_conditions_are_read_from_a_file_and_nonsense_is_refused(tmp_path) -> No
     path.write_text("tau_s = 0.06\n[sensor]\nlatency = '100 ms'\n[pose]\nrate_hz = 32\n")
     c = load_conditions(path)
     assert (c.plant.tau_s, c.nominal_tau_s, c.sensor.latency_s, c.pose.rate_hz) == (0.06, 0.06, 0.1, 32.0)
-    for text in ("[sensor]\nnoise = 1\n", "[sensor]\nglitch_rate = 2.0\n", "[pose]\nrate_hz = 0\n"):
+    for text in (
+        "[sensor]\nnoise = 1\n",
+        "[sensor]\nglitch_rate = 2.0\n",
+        "[pose]\nrate_hz = 0\n",
+        "sensor = 0\n",
+        "pose = [1]\n",
+    ):
         path.write_text(text)
         with pytest.raises(ConfigError):
             load_conditions(path)

@@ -20,8 +20,9 @@ from running_service import until
 from surffollow.apps.fit_latency import fit_latency
 from surffollow.apps.fit_mount import beam_of, fit_mount
 from surffollow.apps.fit_range import fit_range
+from surffollow.cli import range_pairs
 from surffollow.cli.calibrate import calibrate_group
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, SurffollowError
 from surffollow.hw.calibrated import NOTED_RUN, CalibratedDriver, Linearizer, linearize, tables_of
 from surffollow.hw.calibration import Calibration, RangeTable, load_calibration, save_calibration
 from surffollow.hw.contract import check_driver
@@ -392,3 +393,37 @@ def test_a_file_that_is_no_calibration_of_this_driver_is_reported(
     (tmp_path / "c.json").write_text(text)
     with pytest.raises(ConfigError, match=says):
         make_driver({"kind": "none", "calibration": str(tmp_path / "c.json")}, "x")
+
+
+def test_a_device_is_no_calibration() -> None:
+    with pytest.raises(ConfigError, match="calibration /dev/zero has more than 16 MiB"):
+        load_calibration("/dev/zero")
+
+
+@pytest.mark.parametrize("out", ["nowhere/laser.json", "damaged.json", "/dev/zero"])
+def test_a_file_that_cannot_be_written_is_named_before_distances_are_asked_for(
+    out: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "damaged.json").write_text("no JSON")
+    monkeypatch.chdir(tmp_path)
+    asked: list[str] = []
+    monkeypatch.setattr(range_pairs, "observe", asked.append)
+    with pytest.raises(SurffollowError, match=out):
+        run("range", "--name", "surf", "--out", out)
+    with pytest.raises(SurffollowError, match=out):
+        run("latency", "--name", "surf", "--out", out)
+    assert asked == []
+
+
+def test_a_table_that_may_be_made_of_calibrated_distances_is_noted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed = np.linspace(0.1, 0.2, 12)
+    monkeypatch.setattr(range_pairs, "typed_pairs", lambda *_: (typed, typed))
+    words = ("range", "--name", "surf", "--out", tmp_path / "laser.json", "--json")
+    # GIVEN no table of the channel yet, THEN nothing is to be noted
+    assert json.loads(run(*words).output)["notes"] == []
+    # WHEN one is replaced, THEN its readings may be those of a service that has it in force
+    (note,) = json.loads(run(*words).output)["notes"]
+    assert "start it without `calibration`" in note
+    assert json.loads(run(*words, "--channel", 1).output)["notes"] == []

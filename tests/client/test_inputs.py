@@ -14,6 +14,7 @@ import pytest
 from running_service import POSE, Service, drive, until
 from surffollow.client import Client, attach, board, observe
 from surffollow.client.follower_report import follower_report, numbered_faults
+from surffollow.client.request_sender import RequestSender
 from surffollow.config.params import PARAMS, param_name
 from surffollow.errors import (
     ClosedError,
@@ -448,3 +449,10 @@ def test_settings_of_an_attachment_that_cannot_be_are_refused(
 def test_settings_of_an_attachment_may_be_numbers_of_numpy(service: Service) -> None:
     with observe(service.name, stale_periods=np.int64(5), stale_min_s=np.float32(0.01)) as observer:
         assert observer.output()["epoch"] == observer.epoch
+
+
+def test_a_forked_child_that_has_no_slot_yet_is_not_told_of_a_restart_alone() -> None:
+    waiting = object.__new__(RequestSender)
+    waiting.name, waiting.ensure_slot = "surf", lambda: False  # type: ignore[method-assign]
+    with pytest.raises(NotRunningError, match="or this process is a forked child"):
+        waiting._has_slot(0.0)

@@ -117,6 +117,10 @@ def test_a_full_file_is_taken_as_written(tmp_path):
             {"access": {"ranges": "no-such-laser"}},
             ["access.ranges: there is no user 'no-such-laser'", "'any', or '' for no other user"],
         ),
+        (
+            {"access": {"ranges": "a\0b"}},
+            ["access.ranges: there is no user 'a\\x00b'"],
+        ),
         ({"limits": {"loss_timeout": {"max": 3}}}, ["loss_timeout = 3 has no unit", "'2 s' or '30 ms'"]),
         (
             {"limits": {"max_demand": {"max": 0.05}, "max_demand_m": {"max": 0.05}}},

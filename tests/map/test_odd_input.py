@@ -181,3 +181,9 @@ def test_the_estimate_of_memory_for_composing_holds():
 def test_an_argument_that_is_no_number_is_named(name, call, odd):
     with pytest.raises(UsageError, match=rf"^{name} is .*; it must be a number$"):
         call(odd)
+
+
+@pytest.mark.parametrize("argument", ["grids", "gate_min_count", "seed"])
+def test_a_number_that_must_be_whole_is_named(argument):
+    with pytest.raises(UsageError, match=r"must be a whole number, not 8\.5"):
+        HeightMap.over((0, 0, 1, 1), **{argument: 8.5})

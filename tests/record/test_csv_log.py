@@ -194,3 +194,8 @@ def test_a_log_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_bytes(HEADER.encode() + b"1,2,0,0,0,0,0,0,H\xf6he\n")
     with pytest.raises(UsageError, match="no text in UTF-8"):
         read_csv(tmp_path / "log.csv", plain())
+
+
+def test_a_device_is_no_log() -> None:
+    with pytest.raises(UsageError, match="log /dev/zero is a device"):
+        read_csv("/dev/zero", plain())

@@ -242,13 +242,27 @@ def test_a_damaged_recording_is_not_played(tmp_path: Path, recording_bytes: byte
         play_live(path)
 
 
+def test_a_player_ends_while_its_service_starts(
+    bare: Service, make_recording: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # GIVEN a service that is never ready, such as one that compiles
+    words = [sys.executable, "-c", "import signal; signal.pause()"]
+    monkeypatch.setattr("surffollow.record.replay_service.bound_command", lambda *_: words)
+    stop = threading.Event()
+    stop.set()
+    # WHEN the player is asked to end, THEN it does, and has played nothing
+    report = play_live(make_recording(cycles=2400, snapshot_cycles=500), name=bare.name, stop=stop)
+    assert (report.finished, report.poses, report.cycles) == (False, 0, 0)
+
+
 def test_the_service_of_a_player_that_is_killed_ends(
-    bare: Service, make_recording: Callable[..., Path]
+    bare: Service, make_recording: Callable[..., Path], tmp_path: Path
 ) -> None:
     # GIVEN a recording that is played into a service of its own
     path = make_recording(cycles=2400, snapshot_cycles=500)
     words = [sys.executable, "-m", "surffollow", "replay", str(path), "--live", "--name", bare.name]
-    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as player:
+    here = os.environ | {"TMPDIR": str(tmp_path)}  # it leaves its folder
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=here) as player:
         try:
             until(lambda: holder(bare.name) > 0, "the start of its service", DEADLINE_S)
         finally:

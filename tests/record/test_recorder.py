@@ -20,6 +20,7 @@ from surffollow.record.recorder import Recorder
 from surffollow.record.recording_writer import RecordingWriter
 from surffollow.record.replay import replay_file
 from surffollow.record.synthetic_log import SyntheticLog
+from surffollow.record.writer import MessageWriter
 from surffollow.shm.cycle_log import log_head
 from surffollow.shm.journal import CYCLE, SNAPSHOT, entry_kind, entry_words
 from surffollow.shm.layout_board import LogHead
@@ -254,6 +255,20 @@ def test_a_disk_that_takes_nothing_leaves_nothing_to_read(tmp_path: Path) -> Non
         ),
     ):
         RecordingWriter(tmp_path / "a.mcap", stream=full)
+
+
+def test_a_file_of_a_mark_alone_is_no_recording(tmp_path: Path) -> None:
+    disk = FullDisk()
+    disk.room = 20
+    with pytest.raises(FaultError, match="ends after 8 bytes: the disk is full; nothing was recorded"):
+        RecordingWriter(tmp_path / "a.mcap", stream=disk)
+
+
+def test_a_limit_of_the_size_of_what_is_made_of_a_recording_names_no_option_of_record(tmp_path: Path) -> None:
+    disk = FullDisk()
+    disk.room, disk.error = 0, errno.EFBIG
+    with pytest.raises(FaultError, match=r"cannot write .*b\.mcap: .*raise the limit \(ulimit -f\)$"):
+        MessageWriter(tmp_path / "a.mcap", stream=disk, target=tmp_path / "b.mcap")
 
 
 def test_a_recording_that_cannot_be_opened_is_reported_with_its_path(tmp_path: Path) -> None:

@@ -208,6 +208,12 @@ def test_a_matrix_of_too_many_nodes_is_refused(side_m, grid_m):
         "ply\nend_header",
         "ply\nformat ascii 1.0\nelement vertex x\nproperty float x\nend_header\n",
         "ply\nformat\nelement vertex 3\nproperty float\nend_header\n",
+        *(
+            f"ply\nformat {layout} 1.0\nelement vertex {count}\nproperty float x\nproperty float y\n"
+            "property float z\nend_header\n"
+            for layout in ("ascii", "binary_little_endian")
+            for count in (-1, 10**30)
+        ),
     ],
 )
 def test_a_damaged_header_of_a_cloud_is_reported(head, tmp_path):

@@ -156,6 +156,26 @@ def test_a_driver_that_is_not_started_has_nothing_to_say() -> None:
     assert DriverWatch(Driver()).faults() == []  # type: ignore[arg-type]
 
 
+def test_one_text_of_a_driver_is_one_fault_and_one_note() -> None:
+    class Driver:
+        def faults(self) -> str:
+            return "no light"
+
+        def notes(self) -> str:
+            return "dusty"
+
+        def stop(self) -> None:
+            pass
+
+    # GIVEN a driver that answers a text, not a list of texts
+    watch = DriverWatch(Driver())  # type: ignore[arg-type]
+    watch.start()
+    # THEN its letters are not taken for faults
+    until(lambda: watch.faults() == ["no light"], "the fault")
+    assert watch.notes() == ["dusty"]
+    watch.stop(10.0)
+
+
 def test_a_driver_is_stopped_where_no_thread_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
     class Driver:
         stopped = 0

@@ -109,5 +109,7 @@ def test_plant_file_is_read_and_a_wrong_key_or_value_is_refused(tmp_path) -> Non
     good.write_text('tau = "28 ms"\ntau_s = 0.03\n')
     with pytest.raises(ConfigError, match="'tau_s' twice, as 'tau' and as 'tau_s'"):
         load_plant(good)
+    with pytest.raises(ConfigError, match="more than 16 MiB"):  # a device gives bytes without end
+        load_plant("/dev/zero")
     with pytest.raises(ConfigError, match="absent"):
         load_plant(tmp_path / "absent.toml")

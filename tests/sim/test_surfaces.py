@@ -125,7 +125,8 @@ def test_made_fields_have_the_slopes_they_say() -> None:
     assert sf.sine_field(region, 0.2, grid_m=2e-3).height_m(0.05, 0.1) == pytest.approx(0.01, rel=1e-3)
     strip = sf.profile_field(np.array([0.0, 1.0, 2.0]), 0.0, 0.1, (0.0, 0.3))
     assert strip.height_m(0.15, 0.2) == pytest.approx(1.5)
-    for bad in ((0, 0, 0, 1), (0, 0, 1, float("nan")), (0, 0, 1e6, 1e6)):
+    wide = ((0, 0, 1e6, 1e6), (-1e308, 0, 1e308, 1), (-1e308, 0, 1, 1))
+    for bad in ((0, 0, 0, 1), (0, 0, 1, float("nan")), *wide):
         with pytest.raises(RegionError):
             sf.flat_field(bad)
     with pytest.raises(RegionError, match="choose a smaller one"):

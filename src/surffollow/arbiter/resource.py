@@ -14,6 +14,7 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter import table
 from surffollow.client.fence import FENCED, fence
 from surffollow.errors import RequestTimeoutError, UsageError
+from surffollow.units import real_number
 
 if TYPE_CHECKING:
     from surffollow.arbiter.client import ArbiterClient
@@ -152,7 +153,7 @@ class Resource:
         UsageError
             no such time
         """
-        if not 0.0 <= timeout_s < MAX_TIMEOUT_S:
+        if not 0.0 <= real_number(timeout_s, "timeout_s") < MAX_TIMEOUT_S:
             raise UsageError(f"timeout_s is {timeout_s}; expected 0 to {MAX_TIMEOUT_S:g} s")
         timeout_ns, words = int(timeout_s * 1e9), self._words
         before = words[self._held]

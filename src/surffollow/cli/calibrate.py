@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,24 @@ CHANNEL = click.option(
 @click.group("calibrate")
 def calibrate_group() -> None:
     """Calibrate a sensor; the file goes into a configuration as [driver] calibration = "FILE"."""
+
+
+def calibration_there(out: Path, *read: Path | None) -> Any:
+    """Read what the file to write holds already; raise before any measurement if it could not be written.
+
+    Parameters
+    ----------
+    out : Path
+        file to write
+    read : Path or None
+        files that the command reads
+    """
+    from surffollow.hw.calibration import merged
+    from surffollow.map.formats.atomic_file import check_not_read, check_place
+
+    check_not_read(out, *read)
+    check_place(out)
+    return merged(out)
 
 
 def print_result(as_json: bool, found: dict[str, Any], text: str) -> None:
@@ -72,7 +89,6 @@ def range_command(
     from surffollow.apps.fit_range import fit_range
     from surffollow.cli.range_pairs import draw_fit, typed_pairs, unit_notes
     from surffollow.hw.calibration import merged, save_calibration
-    from surffollow.map.formats.atomic_file import check_not_read
     from surffollow.record.csv_log import read_numbers
     from surffollow.record.figure import check_figure
     from surffollow.units import unit_scale
@@ -81,7 +97,7 @@ def range_command(
         raise click.UsageError("give either PAIRS or --name")
     if indicated_unit is not None and pairs is None:
         raise click.UsageError("--indicated-unit goes with PAIRS; a service tells the driver's unit")
-    check_not_read(out, pairs)
+    replaced = any(t.channel == channel for t in calibration_there(out, pairs).tables)
     if plot:
         check_figure(plot)
     scale = unit_scale(unit, "m")
@@ -94,6 +110,11 @@ def range_command(
     true_m = scale * true
     fit = fit_range(indicated, true_m, channel)
     notes = unit_notes(fit.table)
+    if replaced and pairs is None:
+        notes.append(
+            f"the table of channel {channel} that {out} had is replaced; if service {name!r} runs with it, "
+            "the new one is wrong: start it without `calibration`, and measure again"
+        )
     about = {
         f"range {channel}": {
             "method": fit.method,
@@ -131,9 +152,8 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
     """Find the age of distances from MOVE, up and down over one spot: CSV with t_s, z_m and range_m."""
     from surffollow.errors import ConfigError
     from surffollow.hw.calibration import merged, save_calibration
-    from surffollow.map.formats.atomic_file import check_not_read
 
-    check_not_read(out, move)
+    calibration_there(out, move)
     if (move is None) == (name is None):
         raise click.UsageError("give either MOVE or --name")
     if move is not None:
@@ -175,15 +195,14 @@ def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
     import numpy as np
 
     from surffollow.apps.fit_mount import fit_mount
-    from surffollow.hw.calibration import load_calibration, merged, save_calibration
+    from surffollow.hw.calibration import merged, save_calibration
     from surffollow.hw.driver import IDENTITY
-    from surffollow.map.formats.atomic_file import check_not_read
     from surffollow.record.csv_log import read_numbers
 
-    check_not_read(out, moves)
+    there = calibration_there(out, moves)
     *poses, range_m = read_numbers(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))
     fit = fit_mount(np.array(poses).T, range_m)
-    mounts = list((load_calibration(out).mounts or ()) if os.path.exists(out) else ())
+    mounts = list(there.mounts or ())
     mounts += [IDENTITY] * (channel + 1 - len(mounts))
     mounts[channel] = fit.mount
     about = {

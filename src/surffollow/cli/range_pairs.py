@@ -45,6 +45,7 @@ def typed_pairs(name: str, channel: int, seconds: float, unit: str) -> tuple[lis
     """
     indicated: list[float] = []
     true: list[float] = []
+    print(f"Service {name!r} has to run without a calibration of this channel.", file=sys.stderr)
     with observe(name) as watcher:
         while True:
             print(

@@ -85,7 +85,10 @@ class RequestSender(SlotHolder):
         try:
             if self.ensure_slot():
                 return True
-            why = f"service {self.name!r} was started anew and is about to hand out a slot; call again"
+            why = (
+                f"this client waits for a slot of service {self.name!r}, which was started anew, or this "
+                "process is a forked child; call again"
+            )
         except NotReadyError as e:
             why = str(e)
         if time.monotonic() >= until:

@@ -27,6 +27,29 @@ def naming_source(source: str, error: type[SurffollowError]) -> Iterator[None]:
         raise type(e)(f"{source}: {e}") from None
 
 
+def read_small(path: str | Path, kind: str, error: type[SurffollowError]) -> bytes:
+    """Content of a file that is never large, for which a device without end is taken otherwise.
+
+    Parameters
+    ----------
+    path, kind, error
+        as for `read_toml`
+
+    Returns
+    -------
+    bytes
+        at most `MAX_BYTES`
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(MAX_BYTES + 1)  # of a pipe, too; a device may give bytes without end
+    except OSError as e:
+        raise error(f"cannot read {kind} {path}: {e.strerror}") from None
+    if len(data) > MAX_BYTES:
+        raise error(f"{kind} {path} has more than {MAX_BYTES >> 20} MiB; it is no such file")
+    return data
+
+
 def read_toml(path: str | Path, kind: str, error: type[SurffollowError]) -> dict[str, Any]:
     """Read a TOML file.
 
@@ -44,13 +67,7 @@ def read_toml(path: str | Path, kind: str, error: type[SurffollowError]) -> dict
     dict
         the tables, unchecked
     """
-    try:
-        with open(path, "rb") as file:
-            data = file.read(MAX_BYTES + 1)  # of a pipe, too; a device may give bytes without end
-    except OSError as e:
-        raise error(f"cannot read {kind} {path}: {e.strerror}") from None
-    if len(data) > MAX_BYTES:
-        raise error(f"{kind} {path} has more than {MAX_BYTES >> 20} MiB; it is no such file")
+    data = read_small(path, kind, error)
     try:
         tables: dict[str, Any] = tomllib.loads(data.decode("utf-8-sig"))
     except RecursionError:

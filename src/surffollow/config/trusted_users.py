@@ -58,7 +58,7 @@ def user_id(owner: int | str, remedy: str = _NAME_OWNER) -> int:
 
     try:
         return pwd.getpwnam(owner).pw_uid
-    except KeyError:
+    except (KeyError, ValueError):  # ValueError: a null character
         raise ConfigError(f"there is no user {owner!r} on this machine; {remedy}") from None
 
 

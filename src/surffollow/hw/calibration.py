@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from surffollow.config.toml_file import read_small
 from surffollow.errors import ConfigError
 from surffollow.hw.driver import Mount
 from surffollow.shm.layout_follow import CHANNELS
@@ -69,10 +70,9 @@ def load_calibration(path: str | Path) -> Calibration:
     ConfigError
         it cannot be read, is of another version, or says something that cannot be
     """
+    data = read_small(path, "calibration", ConfigError)
     try:
-        found = msgspec.json.decode(Path(path).read_bytes(), type=Calibration)
-    except OSError as error:
-        raise ConfigError(f"cannot read calibration {path}: {error.strerror}") from None
+        found = msgspec.json.decode(data, type=Calibration)
     except ConfigError as error:
         raise ConfigError(f"calibration {path}: {error}") from None
     except msgspec.MsgspecError as error:

@@ -6,7 +6,7 @@ Each item is the time at which a conversion ended and the conversion's word (`sh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import msgspec
@@ -264,7 +264,12 @@ def reports_of(driver: Driver) -> PoseQueue | None:
     return found if isinstance(found, PoseQueue) else None
 
 
+def texts_of(answer: Iterable[object]) -> list[str]:
+    """Texts that a driver answered; a single one is not taken for its letters."""
+    return [answer] if isinstance(answer, str) else [str(text) for text in answer]
+
+
 def notes_of(driver: Driver) -> list[str]:
     """Notes of a driver that are no faults: its method `notes()`, if it has one."""
     notes = getattr(driver, "notes", None)
-    return list(notes()) if callable(notes) else []
+    return texts_of(notes()) if callable(notes) else []

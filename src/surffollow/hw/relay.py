@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from surffollow.hw.driver import ConversionQueue, Driver
+from surffollow.hw.driver import ConversionQueue, Driver, texts_of
 from surffollow.hw.driver_thread import DriverThread
 from surffollow.hw.wrapped_driver import WrappingDriver
 from surffollow.shm.schema import I64, Schema
@@ -82,4 +82,4 @@ class RelayDriver(WrappingDriver):
     def _relay_faults(self, relay: str) -> list[str]:
         """Faults of the inner driver, and conversions that the relay lost."""
         lost = self._between.overflow
-        return self._inner.faults() + ([f"{relay} lost {lost} conversions"] if lost else [])
+        return texts_of(self._inner.faults()) + ([f"{relay} lost {lost} conversions"] if lost else [])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,10 @@ def init_header(
         ("gate_min_count", gate_min_count),
     ):
         real_number(value, name)
+    whole = {"seed": seed, "capacity_grids": capacity_grids, "gate_min_count": gate_min_count}
+    for name, value in whole.items():
+        if not isinstance(value, numbers.Integral):
+            raise UsageError(f"{name} must be a whole number, not {value!r}")
     if not 0 <= seed < 2**64:
         raise UsageError(f"seed must be 0 … 2^64-1, not {seed!r}")
     if not 1 <= capacity_grids <= 1_000_000_000:

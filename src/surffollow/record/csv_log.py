@@ -6,6 +6,8 @@ import contextlib
 import csv
 import io
 import math
+import os
+import stat
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
@@ -125,7 +127,10 @@ def read_numbers(path: str | Path, names: Sequence[str]) -> list[NDArray[np.floa
 def _text(path: str | Path) -> str:
     """Content of a log."""
     try:
-        content = Path(path).read_bytes()
+        with open(path, "rb") as file:
+            if stat.S_ISCHR(os.fstat(file.fileno()).st_mode):
+                raise UsageError(f"log {path} is a device, no CSV file")  # its bytes may have no end
+            content = file.read()
     except OSError as e:
         raise UsageError(f"cannot read log {path}: {e.strerror}") from None
     if content.startswith(MAGIC):

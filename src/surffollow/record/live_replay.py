@@ -21,6 +21,7 @@ from surffollow.record.recorded_inputs import RecordedInputs, load_recorded_inpu
 from surffollow.record.replay_service import (
     LEAD_NS,
     SETTLE_NS,
+    EndedEarlyError,
     first_conversion_ns,
     running_service,
     write_inputs,
@@ -65,7 +66,7 @@ def play_live(
     ----------
     path : recording
     name : of the service; default one of its own
-    stop : set it to end early
+    stop : set it to end early, also while the service compiles its kernels
     progress : called with one line per second
 
     Raises
@@ -78,18 +79,21 @@ def play_live(
         name=name or f"replay-{os.getpid()}", left_out=inputs.left_out, recovered=inputs.recovered
     )
     stop = stop or threading.Event()
-    with tempfile.TemporaryDirectory(prefix="surffollow-") as folder:
-        config = write_inputs(inputs, Path(folder), inputs.period_ns)
-        with running_service(config, report.name) as child:
-            log = ServiceLog(report.name)
-            try:
-                begin = first_conversion_ns(log, time.monotonic_ns() + LEAD_NS)
-            finally:
-                log.close()
-            with attach(report.name, label="replay --live") as client:
-                shift_ns = begin + LEAD_NS - inputs.first_ns
-                _play(inputs, client, shift_ns, report, stop, child, progress)
-                status = client.status()
+    try:
+        with tempfile.TemporaryDirectory(prefix="surffollow-") as folder:
+            config = write_inputs(inputs, Path(folder), inputs.period_ns)
+            with running_service(config, report.name, stop) as child:
+                log = ServiceLog(report.name)
+                try:
+                    begin = first_conversion_ns(log, time.monotonic_ns() + LEAD_NS)
+                finally:
+                    log.close()
+                with attach(report.name, label="replay --live") as client:
+                    shift_ns = begin + LEAD_NS - inputs.first_ns
+                    _play(inputs, client, shift_ns, report, stop, child, progress)
+                    status = client.status()
+    except EndedEarlyError:
+        return report
     # the mark of the beginning is not part of the recording
     report.conversions, report.cycles = max(0, status["conversions"] - 1), status["cycles"]
     report.conversions_skipped = status["conversions_skipped"]

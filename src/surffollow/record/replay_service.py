@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import select
 import signal
 import subprocess
 import threading
@@ -29,6 +30,7 @@ from surffollow.shm.objects import SHM_ROOT, unlink
 from surffollow.shm.python_child import bound_command
 
 READY_S = 120.0
+LOOK_S = 0.05  # between looks at the end that the caller wants
 # the driver starts before the service is ready: one invalid conversion, then this long nothing
 LEAD_NS = 3_000_000_000
 SETTLE_NS = 200_000_000
@@ -73,9 +75,21 @@ def write_inputs(p: RecordedInputs, folder: Path, period_ns: int) -> Path:
     return config
 
 
+class EndedEarlyError(Exception):
+    """The start of the service was waited for, and the caller wants its end."""
+
+
 @contextlib.contextmanager
-def running_service(config: Path, name: str) -> Iterator[subprocess.Popen[str]]:
-    """A service process of our own, from READY to its end; it leaves nothing behind that was not there."""
+def running_service(
+    config: Path, name: str, stop: threading.Event | None = None
+) -> Iterator[subprocess.Popen[str]]:
+    """A service process of our own, from READY to its end; it leaves nothing behind that was not there.
+
+    Raises
+    ------
+    EndedEarlyError    `stop` was set before it was ready, such as while it compiled its kernels
+    ServiceError  it did not start
+    """
     # a stop that a purge has kept stands in the map from the start on
     had_map = any((SHM_ROOT / (name + part)).exists() for part in (".map", ".stop"))
     command = bound_command("start", "--name", name, "--config", str(config), "--quiet")
@@ -84,7 +98,7 @@ def running_service(config: Path, name: str) -> Iterator[subprocess.Popen[str]]:
             command, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True
         )
         try:
-            _await_ready(child, errors)
+            _await_ready(child, errors, stop or threading.Event())
             yield child
         finally:
             end_child(child, signal.SIGTERM, 15.0)
@@ -92,11 +106,14 @@ def running_service(config: Path, name: str) -> Iterator[subprocess.Popen[str]]:
                 unlink(f"{name}.map")
 
 
-def _await_ready(child: subprocess.Popen[str], errors: Any) -> None:
+def _await_ready(child: subprocess.Popen[str], errors: Any, stop: threading.Event) -> None:
     assert child.stdout is not None
     timer = threading.Timer(READY_S, child.kill)
     timer.start()
     try:
+        while not select.select([child.stdout], [], [], LOOK_S)[0]:  # its only line, or its end
+            if stop.is_set():
+                raise EndedEarlyError
         line = child.stdout.readline()
     finally:
         timer.cancel()

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 PROTOBUF = "protobuf"
+MARK_BYTES = 8  # at the beginning of an MCAP file; with them alone it holds nothing
 
 
 def wall_offset_ns() -> int:
@@ -177,10 +178,12 @@ class MessageWriter:
                 what = "the disk is full"
             elif e.errno == errno.EFBIG:
                 what = "no file may be larger here"
-                remedy = "raise the limit (ulimit -f), or rotate files (--rotate-size)"
+                remedy = "raise the limit (ulimit -f)"
+                remedy += "" if self._target is not None else ", or rotate files (--rotate-size)"
             if self._target is not None:
                 raise FaultError(f"cannot write {self._target}: {what}; {remedy}") from None
-            kept = "it is readable up to there (surffollow replay)" if self._whole else "nothing was recorded"
+            some = self._whole > MARK_BYTES
+            kept = "it is readable up to there (surffollow replay)" if some else "nothing was recorded"
             raise FaultError(
                 f"recording {self.path} ends after {self._whole} bytes: {what}; {kept}; {remedy}"
             ) from None

@@ -91,6 +91,8 @@ def _ply(raw: bytes, name: str) -> Floats:
     except (ValueError, IndexError) as e:
         raise ScanFileError(f"the header of {name} is damaged: {e}") from e
     names = [f for f, _ in fields]
+    if not 0 <= count <= len(raw):
+        raise ScanFileError(f"{name} is damaged: its header announces {count} points")
     if not {"x", "y", "z"} <= set(names):
         raise ScanFileError(f"{name} has vertex properties {', '.join(names)}; expected x, y and z")
     try:

@@ -6,7 +6,7 @@ import contextlib
 import threading
 import time
 
-from surffollow.hw.driver import Driver, notes_of
+from surffollow.hw.driver import Driver, notes_of, texts_of
 
 EVERY_S = 0.05
 SILENT_S = 1.0
@@ -47,8 +47,8 @@ class DriverWatch:
         while not self._over.wait(EVERY_S):
             self._asked_s = time.monotonic()
             try:
-                found = [str(text) for text in self._driver.faults()]
-                self._notes = [str(text) for text in notes_of(self._driver)]
+                found = texts_of(self._driver.faults())
+                self._notes = notes_of(self._driver)
             except Exception as e:
                 found = [f"the driver's faults() raised {e!r}"]
             self._faults, self._asked_s = found, 0.0

@@ -15,6 +15,7 @@ import msgspec
 from numpy.typing import NDArray
 
 from surffollow.config.key_errors import key_error_text
+from surffollow.config.toml_file import read_small
 from surffollow.errors import ConfigError, UsageError
 from surffollow.shm.jit import jit
 from surffollow.units import parse_quantity
@@ -68,6 +69,8 @@ def from_table(table: dict[str, Any], kind: type[T], source: str) -> T:
     ConfigError
         unknown key, wrong unit, value out of range, a value given under two names
     """
+    if not isinstance(table, dict):
+        raise ConfigError(f"{source} is {table!r}; expected a table")
     fields = kind.__struct_fields__
     full = {name.removesuffix(_ending(name)): name for name in fields} | {name: name for name in fields}
     values: dict[str, Any] = {}
@@ -92,8 +95,8 @@ def from_table(table: dict[str, Any], kind: type[T], source: str) -> T:
 def read_tables(path: str | Path) -> dict[str, Any]:
     """Read a TOML file; ConfigError says why not."""
     try:
-        table: dict[str, Any] = msgspec.toml.decode(Path(path).read_bytes())
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+        table: dict[str, Any] = msgspec.toml.decode(read_small(path, "plant", ConfigError))
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise ConfigError(f"cannot use the plant '{path}': {error}") from error
     return table
 

@@ -137,10 +137,10 @@ def field_axes(
         )
     if not (np.isfinite(region).all() and x1 > x0 and y1 > y0):
         raise RegionError(f"region {region} m, expected finite places, x_min < x_max and y_min < y_max")
-    nx = int(np.ceil((x1 - x0) / grid_m - 1e-9)) + 1
-    ny = int(np.ceil((y1 - y0) / grid_m - 1e-9)) + 1
+    nx = np.ceil((x1 - x0) / grid_m - 1e-9) + 1
+    ny = np.ceil((y1 - y0) / grid_m - 1e-9) + 1
     if nx * ny > MAX_CELLS:
-        raise RegionError(f"region {region} at {grid_m} m needs {nx * ny} heights, at most {MAX_CELLS}")
+        raise RegionError(f"region {region} at {grid_m} m needs {nx * ny:.15g} heights, at most {MAX_CELLS}")
     x = np.asarray(x0 + grid_m * np.arange(nx), np.float64)
     return x, np.asarray(y0 + grid_m * np.arange(ny), np.float64)
 
