@@ -75,15 +75,12 @@ def compute_transition(bank, d_m):
 
     F = [[1, f01, f02], [0, f11, f12], [0, f21, f22]].
     """
-    for i in range(CURVES):
-        e = elementary.exp(-d_m / SCALE[i])
-        bank.f01[i], bank.f02[i] = SCALE[i] * (1.0 - e), 0.0
-        bank.f11[i], bank.f12[i], bank.f21[i], bank.f22[i] = e, 0.0, 0.0, e
-    for i in range(CURVES, WAVES):
-        e = elementary.exp(-d_m / SCALE[i])
+    for i in range(WAVES):  # with choices instead of loops for each kind it vectorises
+        is_curve, e = i >= CURVES, elementary.exp(-d_m / SCALE[i])
         g = SCALE[i] * (1.0 - e)
-        bank.f01[i], bank.f02[i] = d_m, SCALE[i] * (d_m - g)
-        bank.f11[i], bank.f12[i], bank.f21[i], bank.f22[i] = 1.0, g, 0.0, e
+        bank.f01[i], bank.f02[i] = (d_m if is_curve else g), (SCALE[i] * (d_m - g) if is_curve else 0.0)
+        bank.f11[i], bank.f12[i] = (1.0 if is_curve else e), (g if is_curve else 0.0)
+        bank.f21[i], bank.f22[i] = 0.0, e
     for i in range(WAVES, N_MODELS):
         w = bank.wave_number[i]
         sn, cs = elementary.sin_cos(w * d_m)
