@@ -92,7 +92,6 @@ CTX_WORDS = WINDOW_UM + 7
 
 BY_ANY, BY_HOLDER, BY_HOLDER_ONLY = 0, 1, 2
 
-HUGE_PAGE, CACHE_LINE = 1 << 21, 64
 SAMPLE_WORDS = 4  # kind | slot << 8 (0: a sample), then x y z [m] or the request's counter
 
 
@@ -135,16 +134,6 @@ def bounds_table() -> NDArray[np.float64]:
     return table
 
 
-def on_one_page(*arrays: NDArray[Any]) -> list[NDArray[Any]]:
-    """Zeros like some arrays, on one huge page: behind a sleep each page costs a walk of the page tables."""
-    memory = np.zeros(3 * HUGE_PAGE, np.uint8)  # numpy asks for huge pages from 4 MB on
-    at, found = -memory.ctypes.data % HUGE_PAGE, []
-    for array in arrays:
-        found.append(memory[at : at + array.nbytes].view(array.dtype))
-        at += -(-array.nbytes // CACHE_LINE) * CACHE_LINE
-    return found
-
-
 def load_word(ctx: NDArray[np.int64], index: int) -> int:
     """A word that the service's threads share, with all that was written before it (from Python).
 
@@ -161,9 +150,8 @@ def make_cycle_memory(header: Any = None, pairs: Any = None, pushed: Any = None)
 
     `pushed` is what an external driver shares with the cycle (`hw.driver.pushed_of`).
     """
+    params, state = zeros(Params), zeros(FollowState)
     entry = np.zeros(max(CYCLE_MAX, SNAPSHOT_WORDS), np.int64)
-    records = zeros(Params), zeros(FollowState), zeros(Inputs), zeros(Output)
-    params, state, inputs, output, entry = on_one_page(*records, entry)
     item = np.zeros(SAMPLE_WORDS, np.int64)
     ctx = np.zeros(CTX_WORDS, np.int64)
     ctx[POSE_SLOT] = -1
@@ -176,8 +164,8 @@ def make_cycle_memory(header: Any = None, pairs: Any = None, pushed: Any = None)
         params.view(np.float64),
         state,
         state.view(np.int64),
-        inputs,
-        output,
+        zeros(Inputs),
+        zeros(Output),
         entry,
         entry.view(np.float64),
         np.zeros(7),
