@@ -90,6 +90,7 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m, renew):
     the setpoint descends no farther than that of the last sample less a margin. The ground is level over the
     part of a sensor's trail that is not compared (`uncompared_m`).
     While the tool goes back since the newest sample, ground ahead of it lies behind the footprint.
+    Of a sensor that leads the setpoints of the models are for its footprint, the blend is for the tool.
 
     Parameters
     ----------
@@ -108,19 +109,19 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m, renew):
         return blend.setpoint_m + blend.rate_mps * (clock.now_ns - blend.t_ns) * 1e-9
     dropout = missing_s(adaptive, estimate.accepted_ns, quantities.MISSING_NS)
     turned = measurement.has_turned_back(adaptive)
-    speed_mps = path_speed(kinematics)
+    speed_mps, footprint_m = path_speed(kinematics), 0.0
     if is_at_rest(kinematics):
         since_s = (clock.now_ns - estimate.sample_ns) * 1e-9
         ahead_m = speed_mps * (since_s + controller_clock.mean_wait_s(params, adaptive.controller))
     elif not turned:
-        if sensor_leads(adaptive):  # setpoints are for its footprint: the shadow axes are compared there
-            ahead_m += adaptive.sample.lead_m
+        footprint_m = ahead_m + adaptive.sample.lead_m if sensor_leads(adaptive) else 0.0
         ahead_m = max(ahead_m - shadow_axes.uncompared_m(adaptive), 0.0)
     lead_length_m = speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(speed_mps * dropout, max(ahead_m, 0.0))
         decay = elementary.exp(-dropout_m / params.dropout_travel_m)
         ahead_m += params.dropout_travel_m * (1.0 - decay) - dropout_m
+        footprint_m -= speed_mps * dropout
         lead_length_m *= decay
     if turned:  # along the way of the newest sample
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
@@ -129,6 +130,8 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m, renew):
     creeps = 1.0 if is_slow(adaptive) else max(GROUND_SPEED_MPS / abs(speed_mps), 1.0)
     max_slope = max(creeps * quantities.PLAUSIBLE_SLOPE, slope_limit(estimate.slope_power))
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
+    if footprint_m > ahead_m:  # the shadow axes of a sensor that leads are compared there
+        compute_setpoints(adaptive, footprint_m, lead_length_m, max_slope, standoff_m)
     # a fall that samples have followed for so long, or over this travel, is no slot
     recent = estimate.accepted_ns - gate.step_ns < quantities.PAUSE_NS
     if dropout > 0.0 and gate.step_m < 0.0 and recent and gate.travel_since_step_m < params.step_travel_m:
