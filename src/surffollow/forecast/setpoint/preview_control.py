@@ -14,6 +14,7 @@ begin to descend long before an edge.
 
 from surffollow.forecast.plant.axis_model import PERIOD_S, invert_axis
 from surffollow.forecast.plant.controller_clock import usual_periods
+from surffollow.forecast.terrain.known_ground import MAX_UNCONFIRMED_DESCENT_M
 from surffollow.forecast.terrain.terrain_buffer import CELL_M
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import HORIZON
@@ -135,10 +136,11 @@ def least_speed(params, adaptive, known, z_m, standoff_m, hold):
     ground_m, brake_mps2 = adaptive.preview.ground_m, ACCELERATION_SHARE * params.plant_a_max_mps2
     late = int(CELL_M / max(adaptive.kinematics.speed_mps * PERIOD_S, CELL_M / HORIZON))
     lowest, least = ground_m[0], -params.plant_v_max_mps
+    # where the sensor under the tool confirms the ground second passes over boxes gain 11 % by 4 mm
+    early_m = MAX_UNCONFIRMED_DESCENT_M if adaptive.preview.sensed_periods > 0 else 4e-3
     for k in range(1, known):
         lowest = min(lowest, ground_m[max(k - late, 0)])  # the place of an edge is known to a cell
-        # with 4 mm no hazard of known ground costs 5 mm; with 3 mm second passes over boxes cost 11 %
-        room = max(z_m - lowest - standoff_m + 4e-3, 0.0)
+        room = max(z_m - lowest - standoff_m + early_m, 0.0)
         braking_s = max(k - hold, 0.0) * PERIOD_S  # it brakes from the next setpoint on
         least = max(least, -(room + 0.5 * brake_mps2 * braking_s * braking_s) / (k * PERIOD_S))
     return least
