@@ -18,7 +18,6 @@ from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose, newest_until, pose_at
 from surffollow.forecast.quantities import MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
 from surffollow.forecast.sensing import kinematics
-from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
 from surffollow.shm.layout_follow import RUN_NORMAL
@@ -163,8 +162,6 @@ def update_plant(params, adaptive, sense, inputs):
     least = math.inf
     for k in range(N_PLANTS):
         least = min(least, abs(plant.position_m[k] - z))
-    if not least < axis_model.MAX_MODEL_ERROR_M:
-        suspend_preview(adaptive.preview, t + 500_000_000)
     if not least < 3e-3:  # the robot does not follow: the axes begin at the tool
         reset_axes(adaptive, t, z)
         return
