@@ -75,8 +75,14 @@ def test_an_endless_line_is_refused(tmp_path):
     for suffix in ("", ".asc", ".npz"):
         link = tmp_path / f"zero{suffix}"
         link.symlink_to("/dev/zero")
-        with pytest.raises(MapFileError, match="device"):
+        with pytest.raises(MapFileError, match="no plain file"):
             HeightMap.load(link)
+
+
+def test_a_pipe_is_no_map_and_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.txt")
+    with pytest.raises(MapFileError, match="no plain file"):
+        HeightMap.load(tmp_path / "a.txt")
 
 
 def test_counts_of_unknown_grids_and_an_unset_datum_in_a_file_do_not_poison_the_map(tmp_path):
