@@ -14,7 +14,7 @@ from surffollow.cli.main import cli
 
 INCLUDE = Path(__file__).parents[1] / "src" / "surffollow" / "include"
 FUNCTION = re.compile(
-    r"^/\*((?:[^*]|\*(?!/))*)\*/\n^static inline ([^{;]*?\b(sf[ab]?_\w+)\([^{;]*?\))\s*[{;]", re.MULTILINE
+    r"^/\*((?:[^*]|\*(?!/))*)\*/\n^static inline ([^{;]*?\b(sf[ab]?_\w+)\([^{;]*?\))\s*\{", re.MULTILINE
 )
 
 
