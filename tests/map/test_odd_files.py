@@ -199,7 +199,7 @@ def test_a_raster_whose_cell_size_is_not_positive_is_refused_for_it(tmp_path, si
         HeightMap.load(path)
 
 
-@pytest.mark.parametrize("suffix", ["txt", "npz", "asc", "ply"])
+@pytest.mark.parametrize("suffix", ["txt", "npz", "asc", "ply", "tif"])
 def test_a_full_disk_leaves_the_old_file_and_no_debris(tmp_path, suffix):
     m = HeightMap.over((0, 0, 1, 1), grids=20_000, finest_m=1e-6)
     m.add(scattered(n=5000))
@@ -209,11 +209,12 @@ def test_a_full_disk_leaves_the_old_file_and_no_debris(tmp_path, suffix):
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (5000, limits[1]))
     try:
-        with pytest.raises(MapFileError, match="cannot write"):
+        with pytest.raises(MapFileError, match="cannot write") as refused:
             export(path, m.header, m.pairs)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, before)
+    assert "previous exception" not in str(refused.value)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     assert path.read_text() == "old"
 
