@@ -55,7 +55,7 @@ def refuse_large_plan(settings: PlanSettings, grid_m: float) -> float:
         why = " (half of --gap)" if settings.step_m is None and step < grid_m else ""
         raise ScanInputError(
             f"passes {swath:.3g} m apart ({what}) over a region of {length:.3g} m make about {samples:.2g} "
-            f"samples, {step:.3g} m apart{why}; at most {MAX_SAMPLES:.0e}: choose a larger swath or gap, or "
-            "plan the region in parts (are map and region in metres?)"
+            f"samples, {step:.3g} m apart{why}; at most {MAX_SAMPLES:.0e}: choose a smaller region, or "
+            "parts of it, or a larger swath or gap (are map and region in metres?)"
         )
     return samples
