@@ -14,7 +14,7 @@ from surffollow.cli.main import cli
 
 INCLUDE = Path(__file__).parents[1] / "src" / "surffollow" / "include"
 FUNCTION = re.compile(
-    r"^/\*((?:[^*]|\*(?!/))*)\*/\n^static inline ([^{;]*?\b(sf[ab]?_\w+)\([^{;]*?\))\s*[{;]", re.MULTILINE
+    r"^/\*((?:[^*]|\*(?!/))*)\*/\n^static inline ([^{;]*?\b(sf[ab]?_\w+)\([^{;]*?\))\s*\{", re.MULTILINE
 )
 
 
@@ -39,8 +39,10 @@ This page is for users of the command line. It has the help text of every comman
 
 Exit codes: 0 done, 1 fault, 2 wrong usage, 130 interrupted by Ctrl-C. Commands that run until Ctrl-C
 exit with 0 then. SIGTERM and SIGHUP end the commands that run until Ctrl-C in the same way. They end
-`demo`, `arbiter demo` and `benchmark` in order with 143 and 129, and `scan run` and a waiting `simulate`
-with 130.
+`scan run` and a waiting `simulate` with 130, and all other commands in order with 143 and 129. In
+the first tenth of a second, in which Python starts, Ctrl-C may print a traceback.
+
+An input that is not there and an output that exists already are faults: exit code 1.
 
 With `--json` an error is one JSON object on stdout: `error` (its text), `kind` (its class of
 `surffollow.errors`) and `exit_code`. The text is on stderr, with `--json` too. `blocks watch` and

@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from running_service import WAIT_S, until
-from surffollow.benchmark import cell_runs, runner
+from surffollow.benchmark import cell_runs, evaluation, runner
 from surffollow.benchmark.cell_runs import run_cells
 from surffollow.benchmark.methods import all_methods, check_methods
 from surffollow.benchmark.report import markdown_table, text_table
@@ -150,6 +150,16 @@ def test_files_of_one_stem_are_distinguished_and_nothing_runs_twice(hill: str, t
     rows = json.loads(result.stdout)["results"]
     assert [r["surface"] for r in rows] == [hill, str(other)]
     assert rows[0]["rms_m"] == rows[1]["rms_m"]
+
+
+def test_a_folder_that_cannot_be_written_is_named_before_the_runs(
+    hill: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "run_cells", lambda *_: pytest.fail("the runs were begun"))
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/none")):
+        with pytest.raises(FaultError, match="cannot write"):
+            evaluation.run(evaluation.Request(surfaces=[hill], folder=str(folder)))
 
 
 def test_folder_gets_table_json_and_plots_and_remembers_tunings(hill: str, tmp_path: Path) -> None:

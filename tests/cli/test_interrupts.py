@@ -7,10 +7,13 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from running_service import interrupt
+from surffollow.map import HeightMap
 
 # a command whose work is interrupted by the signal of the first word
 INTERRUPTED = """
@@ -86,3 +89,32 @@ def test_an_interrupt_and_the_end_of_the_input_at_a_question_are_told_apart(inte
     assert found["error"] == ("interrupted" if interrupted else "the input ended before the answer")
     assert "Aborted" not in error
     assert ("the input ended" in error) != interrupted
+
+
+WRITES = """
+import os, signal, sys, time
+import surffollow.map.files as files
+from surffollow.map.formats.atomic_file import replacing
+number = int(sys.argv.pop(1))
+
+def export(path, *_, **__):
+    with replacing(path):
+        os.kill(os.getpid(), number)
+        time.sleep(60)
+
+files.export = export
+from surffollow.cli.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_a_file_is_written_leaves_nothing_of_it(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    source = tmp_path / "a.npz"
+    HeightMap.from_heights(np.zeros((4, 4)), origin_m=(0.0, 0.0), grid_m=0.1).save(source)
+    command = [sys.executable, "-c", WRITES, str(int(number)), "map", "export", str(source)]
+    done = subprocess.run([*command, str(tmp_path / "b.npz")], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (128 + number, "")
+    assert list(tmp_path.iterdir()) == [source]

@@ -170,6 +170,26 @@ def test_a_byte_order_mark_is_no_fault(tmp_path):
     assert load_config(path).name == "cell"
 
 
+def test_a_pipe_without_a_writer_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.toml")
+    with pytest.raises(ConfigError, match=r"cannot read configuration .*a\.toml: it is a pipe out of which"):
+        load_config(tmp_path / "a.toml")
+
+
+def test_a_pipe_whose_writer_is_slow_is_waited_for(monkeypatch):
+    reading, writing = os.pipe()
+    set_blocking = os.set_blocking
+
+    def write_late(fd: int, blocking: bool) -> None:  # the first look found nothing
+        set_blocking(fd, blocking)
+        os.write(writing, b'name = "slow"')
+        os.close(writing)
+
+    monkeypatch.setattr(os, "set_blocking", write_late)
+    assert load_config(f"/dev/fd/{reading}").name == "slow"
+    os.close(reading)
+
+
 def test_a_device_without_an_end_is_refused_and_a_pipe_is_read():
     with pytest.raises(ConfigError, match=r"/dev/zero has more than 16 MiB"):
         load_config("/dev/zero")

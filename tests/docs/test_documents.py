@@ -102,3 +102,23 @@ def test_the_example_of_a_page_runs(page, said, tmp_path):
     done = subprocess.run([sys.executable, "-c", points + code], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert said in done.stdout
+
+
+# stored words, and the table behind sf_get_param and sf_set_param
+PARTS_OF_THE_HEADER = {
+    "sf_load_acquire",
+    "sf_load_relaxed",
+    "sf_param_table",
+    "sf_store_relaxed",
+    "sf_store_release",
+}
+
+
+def test_every_function_of_the_headers_is_in_the_reference():
+    """A declaration between a comment and its function would take the comment."""
+    page = (ROOT / "docs" / "reference" / "c-api.md").read_text(encoding="utf-8")
+    described = set(re.findall(r"^### (\w+)", page, re.MULTILINE))
+    public = r"^static inline [^;{]*?\b(sfa?_(?!i_)\w+)\([^;{]*\)\s*\{"
+    for header in ("surffollow.h", "surffollow_arbiter.h"):
+        text = (ROOT / "include" / header).read_text(encoding="utf-8")
+        assert set(re.findall(public, text, re.MULTILINE)) - described - PARTS_OF_THE_HEADER == set()

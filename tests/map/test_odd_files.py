@@ -75,8 +75,14 @@ def test_an_endless_line_is_refused(tmp_path):
     for suffix in ("", ".asc", ".npz"):
         link = tmp_path / f"zero{suffix}"
         link.symlink_to("/dev/zero")
-        with pytest.raises(MapFileError, match="device"):
+        with pytest.raises(MapFileError, match="no plain file"):
             HeightMap.load(link)
+
+
+def test_a_pipe_is_no_map_and_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.txt")
+    with pytest.raises(MapFileError, match="no plain file"):
+        HeightMap.load(tmp_path / "a.txt")
 
 
 def test_counts_of_unknown_grids_and_an_unset_datum_in_a_file_do_not_poison_the_map(tmp_path):
@@ -193,7 +199,7 @@ def test_a_raster_whose_cell_size_is_not_positive_is_refused_for_it(tmp_path, si
         HeightMap.load(path)
 
 
-@pytest.mark.parametrize("suffix", ["txt", "npz", "asc", "ply"])
+@pytest.mark.parametrize("suffix", ["txt", "npz", "asc", "ply", "tif"])
 def test_a_full_disk_leaves_the_old_file_and_no_debris(tmp_path, suffix):
     m = HeightMap.over((0, 0, 1, 1), grids=20_000, finest_m=1e-6)
     m.add(scattered(n=5000))
@@ -203,11 +209,12 @@ def test_a_full_disk_leaves_the_old_file_and_no_debris(tmp_path, suffix):
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (5000, limits[1]))
     try:
-        with pytest.raises(MapFileError, match="cannot write"):
+        with pytest.raises(MapFileError, match="cannot write") as refused:
             export(path, m.header, m.pairs)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, before)
+    assert "previous exception" not in str(refused.value)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     assert path.read_text() == "old"
 

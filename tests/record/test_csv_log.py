@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -196,6 +197,12 @@ def test_a_log_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
         read_csv(tmp_path / "log.csv", plain())
 
 
+def test_a_pipe_without_a_writer_is_no_log(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "log.csv")
+    with pytest.raises(UsageError, match=r"log\.csv: it is a pipe out of which nothing comes"):
+        read_csv(tmp_path / "log.csv", plain())
+
+
 def test_a_device_is_no_log() -> None:
-    with pytest.raises(UsageError, match="log /dev/zero is a device"):
+    with pytest.raises(UsageError, match="cannot read log /dev/zero: it is a device"):
         read_csv("/dev/zero", plain())

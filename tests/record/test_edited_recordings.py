@@ -11,9 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from mcap.writer import CompressionType, Writer
 
+from surffollow.cli.plot import plot_command
 from surffollow.errors import RecordingError
+from surffollow.record import replay as replay_module
 from surffollow.record.convert import convert
 from surffollow.record.format import (
     MESSAGE_ENCODING,
@@ -305,7 +308,14 @@ def test_a_recording_behind_another_one_in_a_file_is_named_and_counted_as_lost(
     assert replay_file(path).identical
 
 
-def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_is_no_recording_and_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the kernels of a replay take a minute to compile
+    monkeypatch.setattr(replay_module, "warm_up", lambda: pytest.fail("kernels were compiled for nothing"))
     os.mkfifo(tmp_path / "run.mcap")
+    done = CliRunner().invoke(plot_command, [str(tmp_path / "run.mcap")])
+    with pytest.raises(RecordingError, match="is no plain file"):
+        raise done.exception or AssertionError(done.output)
     with pytest.raises(RecordingError, match="is a pipe; write what comes out of it to a file first"):
         replay_file(tmp_path / "run.mcap")

@@ -291,6 +291,16 @@ def test_what_is_no_plain_file_is_refused_at_once(tmp_path: Path, force: bool) -
     assert pipe.is_fifo()
 
 
+def test_a_file_that_another_recorder_writes_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path):
+        before = path.read_bytes()
+        with pytest.raises(FaultError, match=r"another process records into .*a\.mcap; choose another --out"):
+            RecordingWriter(path, force=True)
+        assert path.read_bytes() == before
+    RecordingWriter(path, force=True).close()
+
+
 def test_a_file_that_is_there_already_is_only_replaced_by_force(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(b"somebody's work")

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 
 from surffollow.cli.convert import convert_command, recover_command
 from surffollow.cli.replay import report_text
-from surffollow.errors import UsageError
+from surffollow.errors import FaultError, UsageError
 from surffollow.record.channel_feed import ChannelFeed
 from surffollow.record.convert import convert
 from surffollow.record.recorder import Recorder
@@ -115,10 +115,10 @@ def test_the_commands_keep_what_is_there_and_tell_damage(tmp_path: Path, recordi
     found = CliRunner().invoke(recover_command, [str(cut), "--json"])
     assert json.loads(found.stdout)["lost_bytes"] > 0
     again = CliRunner().invoke(recover_command, [str(cut)])
-    assert isinstance(again.exception, UsageError)
+    assert isinstance(again.exception, FaultError)
     table = CliRunner().invoke(convert_command, [str(cut), "--to", "csv", "--json"])
     assert "ends early" in table.stderr
     assert json.loads(table.stdout)["rows"] > 0
     again = CliRunner().invoke(convert_command, [str(cut), "--to", "csv"])
-    assert isinstance(again.exception, UsageError)
+    assert isinstance(again.exception, FaultError)
     assert "--force" in str(again.exception)

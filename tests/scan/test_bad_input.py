@@ -17,7 +17,7 @@ from surffollow.scan.cloud_files import read_cloud
 from surffollow.scan.deviation import planar_deviation
 from surffollow.scan.envelope import ball_envelope
 from surffollow.scan.grid import TerrainGrid
-from surffollow.scan.image_files import DepthImage
+from surffollow.scan.image_files import DepthImage, read_images
 from surffollow.scan.limits import Annulus, WristLimits
 from surffollow.scan.modes import identify_mode
 from surffollow.scan.patches import coherent_patches
@@ -236,3 +236,18 @@ def test_the_map_of_a_station_is_no_pipe(tmp_path):
     (tmp_path / "s.toml").write_text('[stations."a.npz"]\nx_m = 0.0\ny_m = 0.0\n')
     with pytest.raises(ScanFileError, match="no plain file"):
         read_stations(tmp_path / "s.toml")
+
+
+@pytest.mark.parametrize(("text", "says"), [
+    ("\ufeff# from Notepad\n", "has no "),
+    ("a = " + 5000 * "[", "is not TOML: its values are nested too deeply"),
+    ("a = ]", "is not TOML: Invalid value"),
+])  # fmt: skip
+def test_files_of_cameras_and_stations_are_read_as_configurations_are(text, says, tmp_path):
+    """GIVEN a byte order mark THEN it is no fault; GIVEN what is no TOML THEN the file is named."""
+    np.savez(tmp_path / "a.npz", depth_m=np.ones((3, 3)))
+    file = tmp_path / "a.toml"
+    file.write_text(text, encoding="utf-8")
+    for read in (read_stations, lambda cameras: read_images([tmp_path / "a.npz"], cameras)):
+        with pytest.raises(ScanFileError, match=rf"(a\.toml|a\.npz) {says}"):
+            read(file)

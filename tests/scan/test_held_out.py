@@ -180,7 +180,7 @@ def test_a_wrong_station_pose_shows_in_the_overlap(tmp_path):
         ('[stations."s0.npz"]\nx_m = nan\ny_m = 0.0\n', "not finite"),
         ('[stations."s0.npz"]\ncommon_from_station = [[1, 0], [0, 1]]\n', "s0.npz"),
         ('[stations."away.npz"]\nx_m = 0.0\ny_m = 0.0\n', "away.npz"),
-        ("[stations", "cannot read"),
+        ("[stations", "is not TOML"),
     ],
 )
 def test_stations_that_cannot_be_are_refused(tmp_path, text, words):

@@ -269,10 +269,10 @@ def test_a_compilation_is_left_when_the_service_is_asked_to_end(
     # GIVEN a service that compiles its kernels
     process = s.launch(env=os.environ | {"SURFFOLLOW_CACHE_DIR": str(tmp_path / "cold")})
     until(lambda: list((tmp_path / "cold").rglob("*.nbc")) or process.poll() is not None, "a kernel", READY_S)
-    caught = Path(f"/proc/{process.pid}/status")
+    status = Path(f"/proc/{process.pid}/status")
     until(
-        lambda: int(caught.read_text().split("SigCgt:")[1].split()[0], 16) >> (signal.SIGTERM - 1) & 1,
-        "the handler",
+        lambda: int(status.read_text().split("SigIgn:")[1].split()[0], 16) >> (signal.SIGIO - 1) & 1,
+        "the daemon's handlers, behind which it ignores SIGIO",
         READY_S,
     )
     # WHEN it is asked to end

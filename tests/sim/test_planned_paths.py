@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ from surffollow.errors import ConfigError, UsageError
 from surffollow.hw.registry import make_driver
 from surffollow.map.height_map import HeightMap
 from surffollow.sim.path_table import read_path_table
+from surffollow.sim.profiles_measured import read_csv
 from surffollow.sim.raster import file_path, raster_path
 from surffollow.sim.robot import RobotCore
 from surffollow.sim.robot_config import RobotConfig, make_path
@@ -38,6 +40,19 @@ def test_a_damaged_path_and_one_of_complex_numbers_are_refused_without_a_warning
         warnings.simplefilter("error")
         with pytest.raises(UsageError, match="is no NPZ file of numbers"):
             read_path_table(str(file))
+
+
+@pytest.mark.parametrize("ending", ["csv", "npz"])
+@pytest.mark.parametrize("read", [read_path_table, read_csv])
+def test_a_pipe_or_a_device_is_no_path_and_no_surface(
+    read: Callable[[str], object], ending: str, tmp_path: Path
+) -> None:
+    pipe, zeros = tmp_path / f"pipe.{ending}", tmp_path / f"zeros.{ending}"
+    os.mkfifo(pipe)
+    zeros.symlink_to("/dev/zero")
+    for file in (pipe, zeros):
+        with pytest.raises(UsageError, match="is no plain file; give a file that can be read to its end"):
+            read(str(file))
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz"])

@@ -28,6 +28,7 @@ from surffollow.benchmark.suite import (
 )
 from surffollow.benchmark.trials import run_trials
 from surffollow.errors import FaultError, UsageError
+from surffollow.map.formats.atomic_file import check_place
 
 ORACLES_FILE = "oracles.json"
 
@@ -86,6 +87,8 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
         cells += sweep_cells(surfaces, conditions)
     folder = Path(request.folder) if request.folder else None
     tuned = _load_tuned(folder)
+    if folder:
+        _check_folder(folder)
 
     def stage(name: str) -> Callable[[int, int], None] | None:
         return (lambda done, total: progress(name, done, total)) if progress else None
@@ -143,22 +146,30 @@ def _conditions_text(conditions: Conditions) -> str:
     return "stand-off {:g} mm in the sensor's window of {:g} to {:g} mm\n\n".format(*mm)
 
 
+def _check_folder(folder: Path) -> None:
+    """Make the folder of the results, or fail before the runs, which take hours."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FaultError(f"cannot write to '{folder}': {error.strerror}") from error
+    check_place(folder / ORACLES_FILE)
+
+
 def _write(folder: Path, found: dict[str, Any], *tables: str) -> None:
     try:
         (folder / "results.json").write_bytes(msgspec.json.encode(found))
         (folder / "table.md").write_text("\n".join(t for t in tables if t), encoding="utf-8")
     except OSError as error:
-        raise UsageError(f"cannot write to '{folder}': {error}") from error
+        raise FaultError(f"cannot write to '{folder}': {error.strerror}") from error
 
 
 def _keep_tuned(folder: Path, tuned: Tuned) -> None:
     """Remember oracle tunings for the next run into this folder."""
     plain = [[method, key, list(params)] for (method, key), params in sorted(tuned.items())]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         (folder / ORACLES_FILE).write_bytes(msgspec.json.encode(plain))
     except OSError as error:
-        raise UsageError(f"cannot write to '{folder}': {error}") from error
+        raise FaultError(f"cannot write to '{folder}': {error.strerror}") from error
 
 
 def _load_tuned(folder: Path | None) -> Tuned:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import gc
 import importlib
@@ -16,7 +17,7 @@ import click
 from surffollow.cli import old_names
 from surffollow.errors import FaultError, SurffollowError, UsageError, escaped
 from surffollow.extras import missing_library
-from surffollow.shm.ending_signals import Terminated
+from surffollow.shm.ending_signals import Terminated, ended_by_signals
 
 # a disk, or a share of it, that is full or gone
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -212,7 +213,9 @@ def main(argv: list[str] | None = None) -> Any:
             stream.reconfigure(errors="replace")
     try:
         try:
-            return cli.main(args=argv, prog_name="surffollow", standalone_mode=True)
+            # a process that a signal ends leaves no temporary file
+            with contextlib.nullcontext() if argv is not None else ended_by_signals():
+                return cli.main(args=argv, prog_name="surffollow", standalone_mode=True)
         finally:
             # what fails here would else fail after the last line of ours, with a traceback
             if sys.stdout is not None:

@@ -80,6 +80,8 @@ def _is_recording(file: str) -> bool:
     """Whether a file begins as recordings do, or calls itself one."""
     from surffollow.errors import RecordingError
 
+    if os.path.exists(file) and not os.path.isfile(file):
+        raise RecordingError(f"{file} is no plain file; give a file that can be read to its end")
     try:
         with open(file, "rb") as f:
             return f.read(5) == b"\x89MCAP" or file.lower().endswith(".mcap")

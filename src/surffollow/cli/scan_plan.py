@@ -26,6 +26,8 @@ from surffollow.cli.scan_options import (
     known_region,
 )
 
+SLOW_SAMPLES = 60_000  # from so many on the planner says how long it may take
+
 _SLOWER = "choose a lower --speed or a higher --acceleration"
 REMEDIES = {
     "clearance": "choose a larger --gap",
@@ -131,7 +133,7 @@ def plan_command(
     from surffollow.scan.limits import Annulus, WristLimits
     from surffollow.scan.path_file import write_path
     from surffollow.scan.plan import PlanSettings, plan_scan
-    from surffollow.scan.plan_size import refuse_large_plan
+    from surffollow.scan.plan_size import SAMPLES_PER_S, refuse_large_plan
     from surffollow.scan.plan_summary import plan_figures
     from surffollow.scan.shaping import Shaper
     from surffollow.scan.swath import swath_warning
@@ -168,7 +170,10 @@ def plan_command(
         work_space=space,
         shaper=Shaper.zvd(lateral_mode, damping) if lateral_mode > 0.0 else None,
     )
-    refuse_large_plan(settings, ground.grid_m)
+    samples = refuse_large_plan(settings, ground.grid_m)
+    if samples > SLOW_SAMPLES:
+        minutes = samples / SAMPLES_PER_S / 60.0
+        click.echo(f"planning about {samples:.2g} samples; this may take {minutes:.0f} min", err=True)
     plan = plan_scan(ground, settings)
     write_path(output, plan)
     if picture:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from surffollow.config.input_file import read_input
 from surffollow.errors import SurffollowError
 
 if sys.version_info >= (3, 11):
@@ -41,8 +42,7 @@ def read_small(path: str | Path, kind: str, error: type[SurffollowError]) -> byt
         at most `MAX_BYTES`
     """
     try:
-        with open(path, "rb") as file:
-            data = file.read(MAX_BYTES + 1)  # of a pipe, too; a device may give bytes without end
+        data = read_input(path, MAX_BYTES + 1)  # of a pipe, too; a device may give bytes without end
     except OSError as e:
         raise error(f"cannot read {kind} {path}: {e.strerror}") from None
     if len(data) > MAX_BYTES:

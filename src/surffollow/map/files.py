@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -113,8 +114,8 @@ def load(path: FilePath, *, progress: Progress | None = None) -> tuple[NDArray[A
     ------
     MapFileError
     """
-    if Path(path).is_char_device() or Path(path).is_block_device():
-        raise MapFileError(f"{path} is a device, no map file")
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
+        raise MapFileError(f"{path} is no plain file; give a map file that can be read to its end")
     suffix = _kind(path)
     if suffix == ".npz":
         return read_npz(path)

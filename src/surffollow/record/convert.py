@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surffollow.errors import RecordingError, UsageError
+from surffollow.errors import FaultError, RecordingError, UsageError
 from surffollow.map import HeightMap, access
 from surffollow.map.formats.atomic_file import check_not_read, replacing
 from surffollow.record import foxglove as fx
@@ -60,8 +60,8 @@ def convert(
     Raises
     ------
     RecordingError  no recording, or nothing in it
-    UsageError      the output exists already, or the format does not go with the recording
-    FaultError      it cannot be written, or an extra is missing
+    UsageError      the output is one of the recordings, or the format does not go with them
+    FaultError      the output exists already or cannot be written, or an extra is missing
     """
     blocks = BlockFile.opened(paths[0])
     if blocks is not None:
@@ -99,7 +99,7 @@ def _target(
         target = target.with_name(f"{stem}{'-' + part if part else ''}{suffix}")
     check_not_read(target, *paths)
     if os.path.exists(target) and not force:
-        raise UsageError(f"{target} exists already; choose another --out, or replace it with --force")
+        raise FaultError(f"{target} exists already; choose another --out, or replace it with --force")
     return target
 
 

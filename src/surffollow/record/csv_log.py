@@ -6,8 +6,6 @@ import contextlib
 import csv
 import io
 import math
-import os
-import stat
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
@@ -16,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.input_file import read_input
 from surffollow.errors import UsageError, escaped
 from surffollow.record.columns import Columns
 from surffollow.record.mcap_reader import MAGIC
@@ -127,10 +126,7 @@ def read_numbers(path: str | Path, names: Sequence[str]) -> list[NDArray[np.floa
 def _text(path: str | Path) -> str:
     """Content of a log."""
     try:
-        with open(path, "rb") as file:
-            if stat.S_ISCHR(os.fstat(file.fileno()).st_mode):
-                raise UsageError(f"log {path} is a device, no CSV file")  # its bytes may have no end
-            content = file.read()
+        content = read_input(path, device=False)
     except OSError as e:
         raise UsageError(f"cannot read log {path}: {e.strerror}") from None
     if content.startswith(MAGIC):

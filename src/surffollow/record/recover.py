@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from surffollow.errors import RecordingError, UsageError
+from surffollow.errors import FaultError, RecordingError
 from surffollow.map.formats.atomic_file import check_not_read, replacing
 from surffollow.record.format import (
     CHUNK_BYTES,
@@ -50,15 +50,15 @@ def recover(path: str | Path, out: str | Path | None = None, *, force: bool = Fa
     Raises
     ------
     RecordingError  no MCAP file, or no whole message in it
-    UsageError      the output exists already
-    MapFileError    the output cannot be written
+    UsageError      the output is the file itself
+    FaultError      the output exists already, or cannot be written
     """
     path = Path(path)
     # of a folder without a name such as "." the reader says what it is
     target = path.parent / f"{path.stem}-recovered{path.suffix}" if out is None else Path(out)
     check_not_read(target, path)
     if os.path.exists(target) and not force:
-        raise UsageError(f"{target} exists already; choose another --out, or replace it with --force")
+        raise FaultError(f"{target} exists already; choose another --out, or replace it with --force")
     done = Recovered(str(target))
     with McapReader(path) as reader, replacing(target) as temporary, open(temporary, "wb") as stream:
         writer = Writer(

@@ -206,10 +206,10 @@ def replay_file(path: str | Path) -> ReplayReport:
     ------
     RecordingError  not readable, no recording, of another layout, or without one whole cycle
     """
-    warm_up()
     report = ReplayReport()
-    begin = time.perf_counter()
     with RecordingReader(path) as reader:
+        warm_up()  # it may take a minute: behind the refusal of what is no recording
+        begin = time.perf_counter()
         segments = _Segments(report)
         for batch in reader.batches():
             segments.add(batch)

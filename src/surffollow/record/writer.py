@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
+import io
 import os
 import time
 from pathlib import Path
@@ -83,7 +85,9 @@ class MessageWriter:
             raise FaultError(f"recording {self.path} is there and is no plain file; choose another --out")
         try:
             # unbuffered below: the kernel has the data when `write` returns
-            self._stream: Any = stream or open(self.path, "wb" if force else "xb", buffering=0)  # noqa: SIM115
+            self._stream: Any = stream or _opened(self.path, force)
+        except BlockingIOError:
+            raise FaultError(f"another process records into {self.path}; choose another --out") from None
         except FileExistsError:
             raise FaultError(
                 f"recording {self.path} exists already; choose another --out, or replace it with --force"
@@ -194,6 +198,27 @@ class MessageWriter:
         with contextlib.suppress(OSError, AttributeError, ValueError):
             os.ftruncate(self._stream.fileno(), self._whole)
         self._stream.close()
+
+
+def _opened(path: Path, force: bool) -> io.FileIO:
+    """A new file, or with `force` an emptied one; locked, so that no other recorder empties it meanwhile.
+
+    Raises
+    ------
+    BlockingIOError
+        another recorder holds it
+    """
+    flags = os.O_WRONLY | os.O_CREAT | (0 if force else os.O_EXCL)
+    stream = open(path, "wb", buffering=0, opener=lambda name, _: os.open(name, flags, 0o666))  # noqa: SIM115
+    try:
+        fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        stream.close()
+        raise
+    except OSError:
+        pass  # a file system without locks
+    stream.truncate()
+    return stream
 
 
 class _Sink:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 MIN_ROWS = 16  # a band below this costs more in overlap than it gains
+MAX_ROWS = 4096  # Ctrl-C waits for the bands that run: a second or so
 
 
 def in_bands(rows: int, work: Callable[[int, int], object], *, threads: int | None = None) -> None:
@@ -17,13 +18,18 @@ def in_bands(rows: int, work: Callable[[int, int], object], *, threads: int | No
     """
     n = processors() if threads is None else threads
     n = max(1, min(n, rows // MIN_ROWS))
+    parts = max(n, rows // MAX_ROWS)
+    bands = list(itertools.pairwise(rows * k // parts for k in range(parts + 1)))
     if n == 1:
-        work(0, rows)
+        for first, last in bands:
+            work(first, last)
         return
-    edges = [rows * k // n for k in range(n + 1)]
-    with ThreadPoolExecutor(n) as pool:
-        for done in [pool.submit(work, a, b) for a, b in itertools.pairwise(edges)]:
+    pool = ThreadPoolExecutor(n)
+    try:
+        for done in [pool.submit(work, first, last) for first, last in bands]:
             done.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def processors() -> int:

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import ScanFileError
 from surffollow.extras import install_command
 from surffollow.map.formats.npz import DAMAGED_ARCHIVE
 from surffollow.scan.camera import Camera
 from surffollow.scan.checks import Floats, plain_file
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 IMAGE_SUFFIXES = (".npz", ".tif", ".tiff")
 KEYS = {"depth_m": "depth", "disparity_px": "disparity"}
@@ -160,8 +155,4 @@ def _tiff(path: Path) -> tuple[Floats, str]:
 
 def _cameras(path: str | os.PathLike[str]) -> dict[str, Any]:
     plain_file(path)
-    try:
-        table: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        return table
-    except (OSError, ValueError) as e:
-        raise ScanFileError(f"cannot read the cameras {path}: {e}") from e
+    return read_toml(Path(path), "cameras", ScanFileError)

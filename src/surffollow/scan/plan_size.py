@@ -10,16 +10,22 @@ from surffollow.scan.plan import PlanSettings
 from surffollow.scan.serpentine import outline
 from surffollow.scan.swath import body_width
 
-MAX_SAMPLES = 10_000_000  # rows; a thousand of them take about a second
+MAX_SAMPLES = 1_000_000  # rows: 5 km of passes at 5 mm; a plan of so many takes 4 GB of memory
+SAMPLES_PER_S = 1000.0  # of planning, about
 
 
-def refuse_large_plan(settings: PlanSettings, grid_m: float) -> None:
+def refuse_large_plan(settings: PlanSettings, grid_m: float) -> float:
     """Raise where the rows of a plan would be too many.
 
     Parameters
     ----------
     settings : PlanSettings
     grid_m : float [m]      side of the map's cells
+
+    Returns
+    -------
+    float
+        about how many rows the passes will have; 0 where the planner refuses the settings
 
     Raises
     ------
@@ -42,12 +48,14 @@ def refuse_large_plan(settings: PlanSettings, grid_m: float) -> None:
     width = body_width(body_points(settings.body_m), settings.scheme, settings.angle_rad, turned=turned)
     swath = settings.swath_m if settings.swath_m is not None else width
     if swath <= 0.0:
-        return  # the planner names what is missing
+        return 0.0  # the planner names what is missing
     samples = (length / swath + 1.0) * (length + 2.0 * run_up) / step
     if samples > MAX_SAMPLES:
         what = "--swath" if settings.swath_m is not None else "--body, whose width is the swath"
+        why = " (half of --gap)" if settings.step_m is None and step < grid_m else ""
         raise ScanInputError(
             f"passes {swath:.3g} m apart ({what}) over a region of {length:.3g} m make about {samples:.2g} "
-            f"samples, {step:.3g} m apart; at most {MAX_SAMPLES:.0e}: choose a smaller region, or a "
-            "larger swath or gap (are map and region in metres?)"
+            f"samples, {step:.3g} m apart{why}; at most {MAX_SAMPLES:.0e}: choose a smaller region, or "
+            "parts of it, or a larger swath or gap (are map and region in metres?)"
         )
+    return samples

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import MapFileError, ScanFileError, ScanInputError
 from surffollow.scan.camera import rigid_transform
 from surffollow.scan.checks import Floats, plain_file
@@ -49,13 +50,8 @@ def read_stations(path: str | os.PathLike[str]) -> list[Station]:
     ScanInputError
         a station without pose, an unknown key, or a matrix that is no rigid transform
     """
-    import msgspec
-
     plain_file(path)
-    try:
-        table: dict[str, Any] = msgspec.toml.decode(Path(path).read_bytes())
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as e:
-        raise ScanFileError(f"cannot read the stations {path}: {e}") from e
+    table = read_toml(Path(path), "stations", ScanFileError)
     given = table.get("stations")
     if not isinstance(given, dict) or not given:
         raise ScanFileError(f'{path} has no stations; expected tables such as [stations."a.npz"]')

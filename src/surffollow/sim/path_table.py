@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -61,6 +62,8 @@ def read_path_table(file: str) -> PathTable:
         it cannot be read, lacks a column, holds what is no number, or cannot be: times that go back, speeds
         that are not positive, a quaternion whose norm is not 1, another unit in a column's name
     """
+    if os.path.exists(file) and not os.path.isfile(file):  # a pipe or a device may never end
+        raise UsageError(f"path '{file}' is no plain file; give a file that can be read to its end")
     columns = _read_npz(file) if file.lower().endswith(".npz") else _read_csv(file)
     _check_names(file, columns)
     lengths = {len(c) for c in columns.values()}

@@ -70,6 +70,8 @@ def read_csv(path: str | Path) -> Profile:
         when the file cannot be read, has fewer than two rows, x does not grow from row to row, or a number is
         out of bounds
     """
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
+        raise UsageError(f"surface '{path}' is no plain file; give a file that can be read to its end")
     try:
         with open(path, encoding="utf-8-sig") as stream:
             lines = [line.strip() for line in stream if line.strip() and not line.startswith("#")]

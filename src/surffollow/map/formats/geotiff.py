@@ -79,17 +79,20 @@ def write_geotiff(
     }
     with replacing(path) as temporary, _quiet():
         crc = 0
-        with rasterio.open(temporary, "w", **profile) as out:
-            out.set_band_description(1, "height [m]")
-            out.set_band_description(2, "samples")
-            for first, last in access.row_blocks(ny, nx):
-                low, high = ny - last, ny - first
-                z = access.metres(header, access.quanta(pairs, low * nx, high * nx)).reshape(-1, nx)
-                c = access.counts(pairs, low * nx, high * nx).reshape(-1, nx)
-                bands = np.stack([z[::-1], c[::-1].astype(np.float64)])
-                out.write(bands, window=rasterio.windows.Window(0, first, nx, last - first))
-                crc = zlib.crc32(bands.tobytes(), crc)
-                report(progress, last / ny / 2)
+        try:
+            with rasterio.open(temporary, "w", **profile) as out:
+                out.set_band_description(1, "height [m]")
+                out.set_band_description(2, "samples")
+                for first, last in access.row_blocks(ny, nx):
+                    low, high = ny - last, ny - first
+                    z = access.metres(header, access.quanta(pairs, low * nx, high * nx)).reshape(-1, nx)
+                    c = access.counts(pairs, low * nx, high * nx).reshape(-1, nx)
+                    bands = np.stack([z[::-1], c[::-1].astype(np.float64)])
+                    out.write(bands, window=rasterio.windows.Window(0, first, nx, last - first))
+                    crc = zlib.crc32(bands.tobytes(), crc)
+                    report(progress, last / ny / 2)
+        except rasterio.errors.RasterioIOError as e:  # it says "see the previous exception"
+            raise MapFileError(f"cannot write {path}: {e.__cause__ or e}; is the disk full?") from e
         _read_back(rasterio, temporary, path, (ny, nx), crc, progress)
 
 
@@ -111,7 +114,7 @@ def _read_back(
                 found = zlib.crc32(bands.tobytes(), found)
                 report(progress, (1 + last / ny) / 2)
     except rasterio.errors.RasterioError as e:
-        found, why = crc ^ 1, f"it cannot be read back ({e})"
+        found, why = crc ^ 1, f"it cannot be read back ({e.__cause__ or e})"
     if found != crc:
         raise MapFileError(f"cannot write {path}: {why}; is the disk full?")
 

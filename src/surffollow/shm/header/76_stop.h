@@ -1,11 +1,12 @@
 /* ---- stop ----------------------------------------------------------------------------------- */
 
+static inline int sf_stop_now(sf_client *c);
+
 /*
  * Stop: from the next cycle on no demand is valid (SF_STOPPED), until the client that sends the pose calls
  * sf_stop_reset. Any client may ask; `reason` (may be NULL) is kept in the audit trail, its first 63 bytes.
  * What the controller does then stands in docs/reference/protocol.md. This is no safety function.
  */
-static inline int sf_stop_now(sf_client *c);
 static inline int sf_stop(sf_client *c, const char *reason) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   (void)sf_stop_now(c); /* in force from the next cycle on; the request brings the reason and an answer */
