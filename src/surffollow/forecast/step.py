@@ -3,6 +3,7 @@
 import math
 
 from surffollow.forecast import adaptive_step, fold_back, reference_scales, reset, stop
+from surffollow.forecast.modes import orients
 from surffollow.forecast.paper import extrapolation
 from surffollow.forecast.pose import footprint, newest_pose, pose_at
 from surffollow.forecast.readings import is_absent, take_conversions, take_poses, take_ranges
@@ -39,22 +40,25 @@ def reset_stop(params, state):
 
 
 @jit_inlined
-def find_targets(params, state, output, pose, interpolate):
-    """Target points of all fresh readings into `output.target_m`; the sensor height of channel 0 [m].
+def find_targets(params, state, output, pose):
+    """Target points of fresh readings into `output.target_m`; the sensor height of channel 0 [m].
 
-    The mean over `ee_readings` points replaces each footprint (§3.2.1), see `average_point`.
+    The mean over `ee_readings` points replaces each footprint (§3.2.1), see `average_point`. The adaptive
+    mode maps those samples of channel 0 that enter its estimate, unless several sensors rotate the tool.
 
     Parameters
     ----------
     params, state, output : records of `Params`, `FollowState` (updated), `Output` (updated)
     pose : (7,) float64 scratch
-    interpolate : bool  pose at the time of a reading, not the latest
     """
-    sense = state.sense
+    sense, adaptive = state.sense, params.mode == layout.MODE_ADAPTIVE
+    interpolate = adaptive or params.pose_interpolate != 0  # pose at the time of a reading, not the latest
+    first = 1 if adaptive and not orients(params) else 0
+    state.paper.point_count[:first] = 0
     fresh, sensor_z = 0, 0.0
     oldest_ns = sense.pose_t_ns[max(0, sense.pose_count - layout.POSES) & (layout.POSES - 1)]
     newest_ns = sense.pose_t_ns[newest_pose(sense)]
-    for c in range(params.n_channels):
+    for c in range(first, params.n_channels):
         if sense.fresh[c] == 0:
             continue
         t_ns = sense.range_t_ns[c] if interpolate else newest_ns
@@ -216,12 +220,9 @@ def follow_step(params, state, inputs, output, scratch):
             o.status = layout.POSE_STALE
             for c in range(layout.CHANNELS):
                 s.sense.losses[c] += 1  # readings without a pose are as good as lost
-        elif p.mode == layout.MODE_ADAPTIVE:
-            find_targets(p, s, o, scratch, True)
-            o.status, ready = 0, True
         else:
-            sensor_z = find_targets(p, s, o, scratch, p.pose_interpolate != 0)
-            o.status = demand_z(p, s, i, o, sensor_z, scratch)
+            sensor_z, ready = find_targets(p, s, o, scratch), True
+            o.status = 0 if p.mode == layout.MODE_ADAPTIVE else demand_z(p, s, i, o, sensor_z, scratch)
     if p.mode == layout.MODE_ADAPTIVE:
         o.status |= scaled_adaptive_cycle(params, state, inputs, output, scratch, ready)
     else:

@@ -13,7 +13,7 @@ import numpy as np
 from surffollow.config.params import PARAMS as TABLE
 from surffollow.forecast.step import follow_step, reset_stop, sf_reset
 from surffollow.forecast.stop import latch_stop
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit, jit_uncounted
 from surffollow.shm.journal import (
     CYCLE,
     CYCLE_HEAD,
@@ -226,7 +226,7 @@ def take_snapshot(words: Any, at: Any, params_words: Any, state_words: Any, tall
         tally[R_STATES_DIFFERING] += 1
 
 
-@jit
+@jit_uncounted
 def replay_words(
     words: Any, floats: Any, n: Any, records: Any, views: Any, scratch: Any, first: Any, tally: Any
 ) -> Any:

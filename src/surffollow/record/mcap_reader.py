@@ -32,6 +32,7 @@ _DATA_END = struct.Struct("<BQI")
 _CRC_BLOCK = 1 << 20
 # our chunks are 128 KiB plus one message; more is damage, not data
 _MAX_CHUNK_BYTES = 64 << 20
+_LZ4_BLOCK_BYTES = 1 << 16  # of our chunks
 
 
 @dataclass
@@ -186,9 +187,10 @@ class McapReader(Closing):
         if len(packed) != length or unpacked > _MAX_CHUNK_BYTES:
             raise ValueError("its sizes do not agree")
         if compression == "lz4":
-            # a decompressor of a set limit: a crafted chunk cannot fill the memory
+            # a decompressor of a set limit: a crafted chunk cannot fill the memory. Where there is room for a
+            # whole block more it unpacks the last one in place
             lz = lz4.frame.LZ4FrameDecompressor()
-            records = lz.decompress(packed, max_length=unpacked + 1) if length else b""
+            records = lz.decompress(packed, max_length=unpacked + _LZ4_BLOCK_BYTES) if length else b""
         elif compression == "":
             records = bytes(packed)
         else:

@@ -129,7 +129,7 @@ def compile_share() -> None:
     cycle = make_cycle_memory()
     p, s, i, o = cycle.params[0], cycle.state[0], cycle.inputs[0], cycle.output[0]
     demand_z.part(types_of(p, s, i, o, 0.0, cycle.pose))
-    find_targets.part(types_of(p, s, o, cycle.pose, 0))
+    find_targets.part(types_of(p, s, o, cycle.pose))
     take_inputs.part(types_of(cycle, 0))
     give_outputs.part(types_of(cycle, 0, 0))
     nothing = zeros(ml.MapHeader), zeros(ml.GridPair), np.zeros(1)

@@ -18,7 +18,7 @@ STOP     t_ns, bits: causes added to the latched stop before the next cycle; 0: 
 ======== ==========================================================================
 """
 
-from surffollow.shm.jit import jit, jit_pasted
+from surffollow.shm.jit import jit, jit_pasted, jit_uncounted
 from surffollow.shm.layout_follow import (
     CHANNELS,
     MAX_CONVERSIONS,
@@ -91,7 +91,7 @@ def encode_cycle(words, floats, inputs, output):
     return n
 
 
-@jit
+@jit_uncounted
 def decode_cycle(words, floats, at, inputs):
     """Read the inputs of the CYCLE entry at index `at`; its length, or -1 when it cannot be one.
 
@@ -139,7 +139,7 @@ def decode_cycle(words, floats, at, inputs):
     return expected
 
 
-@jit
+@jit_uncounted
 def same_outcome(words, at, output_words, demand_word, status, cycle):
     """1 when cycle number, status and all six demands of the entry at `at` have the same bits.
 

@@ -90,7 +90,7 @@ class WholeLibrary(JITCodeLibrary):
 
     def __init__(self, part: PartLibrary, kept: tuple[str, ...]) -> None:
         super().__init__(part.codegen, part.name)
-        self._kept = kept
+        self._kept, self._symbol = kept, part.symbol
         self.enable_object_caching()
         for library in (part, *part.parts, rtsys.library):
             self.add_linking_library(library)
@@ -99,6 +99,12 @@ class WholeLibrary(JITCodeLibrary):
         for variable in self._final_module.global_variables:
             if variable.name.startswith(_ENVIRONMENT) and variable.name not in self._kept:
                 variable.linkage = "linkonce_odr"  # dropped where nothing uses it
+        # one that is called once is inlined. LLVM changes the arguments of local functions, and finds those
+        # that are not private by their names: the one of another whole
+        for function in self._final_module.functions:
+            local = function.linkage in (llvm.Linkage.linkonce_odr, llvm.Linkage.internal)
+            if local and function.name != self._symbol:
+                function.linkage = "private"
         super()._optimize_final_module()
 
     def set_environments(self) -> None:

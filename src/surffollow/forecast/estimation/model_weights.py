@@ -45,8 +45,8 @@ def update_index(params, adaptive, travel_m, dt_s, target_m):
     g = max(1.0 - elementary.exp(-rate / params.long_factor), burn_in_rate)
     position_m, left_out = adaptive.shadow.position_m, adaptive.lead.left_out
     for i in range(N_MODELS):
-        without_lead_m = position_m[N_MODELS + i] if i < WAVES else position_m[i]
-        e = position_m[i] - left_out[i] * (position_m[i] - without_lead_m) - target_m
+        effect_m = position_m[i] - position_m[N_MODELS + i] if i < WAVES else 0.0
+        e = position_m[i] - left_out[i] * effect_m - target_m
         weights.recent_m2[i] += f * (e * e - weights.recent_m2[i])
         weights.longer_m2[i] += g * (e * e - weights.longer_m2[i])
     setpoint_lead.update_lead(params, adaptive, f, g, target_m)

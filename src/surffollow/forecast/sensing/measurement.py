@@ -116,7 +116,6 @@ def take_sample(params, adaptive, sense, inputs, output, pose):
             observe_timestamp(adaptive, sense.range_t_ns[reference])
         channel = beam_detection.observe_beams(params, adaptive, sense, pose)
     else:
-        output.fresh &= ~1
         beam_detection.release_beams(adaptive.beams)
         plane_fit.reset_plane(adaptive.plane)
         rotation_response.reset_rotation(adaptive.rotation)

@@ -23,7 +23,7 @@ def slope_limit(power):
     return max(quantities.PLAUSIBLE_SLOPE, 3.0 * math.sqrt(power))
 
 
-@jit_inlined
+@jit
 def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """Setpoints of all models `ahead_m` beyond the newest footprint; their blend and its slope.
 
