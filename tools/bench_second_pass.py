@@ -4,8 +4,8 @@ Measured: the true stand-off error of the simulated robot over the same stretch 
 the way back the service plans over the ground that it mapped on the way there; the map was empty before.
 Afterwards the recording is replayed and every bit compared. The sensor's characteristic is off by up to
 0.2 mm, which neither pass can know: the benchmark's bound is held against the error about its mean. Each
-surface is run three times and the median counts: a shared machine may stall for some 10 ms at an edge.
-Every run is told.
+surface is run three times and the median counts: on a shared machine a stall of some 10 ms at an edge
+takes the plan away for half a second, as it should. Every run is told.
 """
 
 from __future__ import annotations

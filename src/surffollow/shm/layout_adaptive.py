@@ -125,6 +125,7 @@ class Preview(Schema):
     """Preview of the terrain and its share of the setpoint (`preview`)."""
 
     share = F64(doc="share of the planned setpoint, 0 to 1")
+    suspended_until_ns = I64(unit="ns", doc="no preview until then")
     sensed_periods = I64(doc="periods of ground known from channel 0 ahead of the tool; 0: it does not lead")
     ground_m = F64(HORIZON, unit="m", doc="ground under the tool per controller period")
     predicted_m = F64(unit="m", doc="height as the model bank predicted it over a distance …")

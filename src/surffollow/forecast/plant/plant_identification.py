@@ -18,11 +18,13 @@ from surffollow.forecast.plant import axis_model, controller_clock
 from surffollow.forecast.pose import newest_pose, newest_until, pose_at
 from surffollow.forecast.quantities import MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
 from surffollow.forecast.sensing import kinematics
+from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
 from surffollow.shm.layout_follow import RUN_NORMAL
 
 TAU_RATIO = 1.5  # between neighbouring τ
+NOISE_SIGMAS = 5.0  # of the reported heights: an error of an axis model beyond is no noise
 # gains of the observed axis per report: position, velocity [1/s], disturbance [1/s]. The last is learned over
 # 3 to 4 s, some 100 τ: what is quicker may be the axis itself, which the models describe roughly
 AXIS_GAINS = (0.3, 2.0, 0.1)
@@ -162,7 +164,12 @@ def update_plant(params, adaptive, sense, inputs):
     least = math.inf
     for k in range(N_PLANTS):
         least = min(least, abs(plant.position_m[k] - z))
-    if not least < 3e-3:  # the robot does not follow: the axes begin at the tool
+    # what neither the axis nor a constant velocity explains is noise of the reports. With half of the least
+    # limit waves at the limits of an axis as configured end the plans, with 1.5 times other axes swing
+    noise_m, follows_m = min(plant.scatter_m, adaptive.kinematics.climb_scatter_m), 3e-3
+    if not least < min(max(2.0 * axis_model.MAX_MODEL_ERROR_M, NOISE_SIGMAS * noise_m), follows_m):
+        suspend_preview(adaptive.preview, t + 500_000_000)
+    if not least < follows_m:  # the robot does not follow: the axes begin at the tool
         reset_axes(adaptive, t, z)
         return
     e = z - plant.axis_m

@@ -111,16 +111,22 @@ def update_share(adaptive, known):
     adaptive : record of `AdaptiveState` (`preview` updated)
     known : int         known periods of ground
     """
-    # ground that is known from channel 0: an uncertain plan is better than none
     preview, leads = adaptive.preview, terrain_buffer.sensor_leads(adaptive)
+    sure = adaptive.clock.now_ns >= preview.suspended_until_ns and known_ground.is_useful(adaptive)
     # the distance ahead of a lone sensor may be just as long: one period less does not end the plan
-    usable = known >= (7 if preview.share == 0.0 else 6) and (leads or known_ground.is_useful(adaptive))
+    usable = known >= (7 if preview.share == 0.0 else 6) and sure
     # a mixture of the blend and a plan catches up too fast where such a sensor begins
     rise = 1.0 if leads else 0.15
     preview.share += rise if usable else -0.15
     preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
     preview.sensed_periods = known if leads else 0
     return preview.share > 0.0
+
+
+@jit
+def suspend_preview(preview, until_ns):
+    """Suspend preview until a time: a plan inverts the axis model, and swings with another axis."""
+    preview.suspended_until_ns = until_ns
 
 
 @jit
