@@ -117,9 +117,9 @@ def test_plans_do_not_swing_with_an_axis_that_is_not_as_configured(axis, boxes_m
 def test_a_lone_sensor_ahead_does_not_swing_with_such_an_axis(axis, boxes_m):
     """GIVEN the only sensor ahead WHEN the axis brakes later than its model THEN the tool does not swing.
 
-    Such a sensor planned always: the tool touched, or left the window for good.
+    Such a sensor planned always: the error was 20 to 82 mm, the least clearance 0.00 to 0.59 stand-offs.
     """
     _, rms_m, least = passes(axis, boxes_m, memory=False, lead_m=0.05)
     print(f"RMS {1e3 * rms_m:.1f} mm, least {least:.2f}")
     assert least > 0.7
-    assert rms_m < 16e-3
+    assert rms_m < 18e-3

@@ -19,6 +19,7 @@ from surffollow.forecast.pose import newest_pose, newest_until, pose_at
 from surffollow.forecast.quantities import MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
 from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.terrain.preview import suspend_preview
+from surffollow.forecast.terrain.terrain_buffer import sensor_leads
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
 from surffollow.shm.layout_follow import RUN_NORMAL
@@ -131,6 +132,12 @@ def best_time_constant(plant):
 
 
 @jit
+def is_pushed(plant):
+    """Whether the reports lie on one side of the observed axis: a push is not known yet."""
+    return abs(plant.mean_m) > 0.5 * plant.spread_m
+
+
+@jit
 def update_plant(params, adaptive, sense, inputs):
     """Compare the axis models with a new pose report; move τ toward the best one while demands are applied.
 
@@ -166,8 +173,11 @@ def update_plant(params, adaptive, sense, inputs):
         least = min(least, abs(plant.position_m[k] - z))
     # what neither the axis nor a constant velocity explains is noise of the reports. With half of the least
     # limit waves at the limits of an axis as configured end the plans, with 1.5 times other axes swing
-    noise_m, follows_m = min(plant.scatter_m, adaptive.kinematics.climb_scatter_m), 3e-3
-    if not least < min(max(2.0 * axis_model.MAX_MODEL_ERROR_M, NOISE_SIGMAS * noise_m), follows_m):
+    noise_m = min(plant.scatter_m, adaptive.kinematics.climb_scatter_m)
+    follows_m, leads = 3e-3, sensor_leads(adaptive)
+    limit_m = min(max(2.0 * axis_model.MAX_MODEL_ERROR_M, NOISE_SIGMAS * noise_m), follows_m)
+    # without a plan a lone leading sensor loses more, and under a push that is not known yet most
+    if not least < (follows_m if leads else limit_m) and not (leads and is_pushed(plant)):
         suspend_preview(adaptive.preview, t + 500_000_000)
     if not least < follows_m:  # the robot does not follow: the axes begin at the tool
         reset_axes(adaptive, t, z)
@@ -185,8 +195,7 @@ def update_plant(params, adaptive, sense, inputs):
     plant.mean_m += SLOW_RATE * (e - plant.mean_m)
     plant.spread_m += SLOW_RATE * (abs(e) - plant.spread_m)
     # between slow reports poses with old timestamps, too, are a sluggish axis: a longer τ is right
-    pushed = not slow and abs(plant.mean_m) > 0.5 * plant.spread_m  # the reports lie on one side
-    adapts = learns(params, adaptive) and params.run == RUN_NORMAL and not pushed
+    adapts = learns(params, adaptive) and params.run == RUN_NORMAL and (slow or not is_pushed(plant))
     if not adapts or not least < axis_model.MAX_MODEL_ERROR_M:
         return
     for k in range(N_PLANTS):
