@@ -1,4 +1,4 @@
-"""Read a file that somebody names: nothing is waited for that never comes."""
+"""Read an input file of a command without waiting for a pipe that has no writer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def read_input(path: str | Path, most: int = -1, *, device: bool = True) -> byte
     Raises
     ------
     OSError
-        it cannot be read, it is a device and may not be one, or it is a pipe into which nobody writes
+        it cannot be read, it is a device and may not be one, or it is a pipe without a writer
     """
     # a named pipe without a writer would be waited for: opened so it is empty
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
