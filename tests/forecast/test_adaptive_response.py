@@ -215,7 +215,8 @@ def test_a_sensor_that_leads_answers_the_shift_too(seed):
     assert score_run(scene, *run_method("ours", scene)).rms_m < 0.25e-3
 
 
-@pytest.mark.parametrize("seed", [120124, 120219, 120350, 120561])
+# 2100001: blocked at the stand-off, the tool moved too little for a test while the ground rose by 0.9 of it
+@pytest.mark.parametrize("seed", [120124, 120219, 120350, 120561, 2100001])
 def test_a_demand_is_not_valid_when_unseen_ground_may_have_reached_the_tool(seed):
     """GIVEN steep ground under a blocked sensor THEN VALID ends before the contact that no one can see."""
     outcome = play(standard(), draw("blocked on a slope", seed))

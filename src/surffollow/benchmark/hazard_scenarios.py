@@ -35,7 +35,9 @@ class Kind:
     `interval_ms`: between readings, log-uniform. `factor`: of the speed from the middle on.
     `turn_s`: the tool turns back every so often. `push_mps`: velocity of wind or current beside the axis, of
     either sign, from the middle on. `heave_m`: amplitude of ground that moves up and down as a whole.
-    `lag`: time constant of the axis over the configured one.
+    `lag`: time constant of the axis over the configured one. `bend_hz`: natural frequency, log-uniform, of a
+    flexible structure between axis and tool. The pose reported is that of the axis, or, `bend_seen`, of the
+    tool.
     """
 
     size_m: tuple[float, float] = (0.0, 0.0)
@@ -54,6 +56,8 @@ class Kind:
     push_mps: float = 0.0
     heave_m: float = 0.0
     lag: tuple[float, float] = (1.0, 1.0)
+    bend_hz: tuple[float, float] | None = None
+    bend_seen: bool = False
 
 
 _FALL: dict[str, Any] = {"slope": (0.2, 1.0), "interval_ms": (READING_MS, 60), "levels": True}
@@ -126,7 +130,10 @@ KINDS = {
     "old poses": Kind(
         length_s=(2.0, 2.0), late_s=(0.0, 0.06), slope=(0.0, 0.4), interval_ms=(READING_MS, 60)
     ),
+    "bending arm": Kind(slope=(0.0, 0.2), bend_hz=(2.0, 20.0)),
+    "bending arm and its pose": Kind(slope=(0.0, 0.2), bend_hz=(0.5, 20.0), bend_seen=True),
 }
+BEND_DAMPING = (0.02, 0.1)
 OUTLIER_SHARE = 0.3  # of all readings
 HEAVE_S = (0.7, 3.0)  # period
 MAX_CLIMB_MPS = 0.1  # over slopes of more than 1: half of what the axis can
@@ -142,7 +149,8 @@ class Scenario:
 
     "gain": ranges too long by the share `size_m`; "mostly lost": the share of readings that are lost. The
     tool is pushed by `push_mps` from the middle on. The ground heaves by `heave_m` with the period `heave_s`.
-    The axis has `lag` times the time constant that the follower knows.
+    The axis has `lag` times the time constant that the follower knows. The structure that it moves bends with
+    the natural frequency `bend_hz` (0: it does not) and the damping ratio `bend_damping`.
     """
 
     family: str
@@ -159,6 +167,8 @@ class Scenario:
     heave_m: float = 0.0
     heave_s: float = 1.0
     lag: float = 1.0
+    bend_hz: float = 0.0
+    bend_damping: float = 0.0
 
     def heave_at(self, t_s: float) -> float:
         """Height of the ground above that of its profile [m]."""
@@ -206,4 +216,6 @@ def draw(family: str, seed: int) -> Scenario:
         kind.heave_m * float(rng.random()),
         float(rng.uniform(*HEAVE_S)),
         float(rng.uniform(*kind.lag)),
+        0.0 if kind.bend_hz is None else float(np.exp(rng.uniform(*np.log(kind.bend_hz)))),
+        float(rng.uniform(*BEND_DAMPING)),
     )

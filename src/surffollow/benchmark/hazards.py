@@ -125,6 +125,22 @@ def misread(s: Scenario, r: float, held: float, rng: np.random.Generator) -> flo
     return r
 
 
+def bend_step(s: Scenario, bend: NDArray[np.float64], change_mps: float) -> None:
+    """Advance deflection [m] and rate [m/s] of a structure by a millisecond in which its axis speeds up.
+
+    Parameters
+    ----------
+    s : Scenario
+    bend : (2,) float64     updated
+    change_mps : float64    change of the velocity of the axis [m/s]
+    """
+    if s.bend_hz == 0.0:
+        return
+    omega = 2.0 * math.pi * s.bend_hz
+    bend[1] -= change_mps + 1e-3 * omega * (2.0 * s.bend_damping * bend[1] + omega * bend[0])
+    bend[0] += 1e-3 * bend[1]
+
+
 def faulty_channels(s: Scenario) -> tuple[int, ...]:
     """Channels whose readings are wrong during the fault."""
     if s.family.startswith("leading"):
@@ -144,6 +160,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
     n = len(kind.mounts_m)
     axis = np.array([ground.height_m(0.0, False) + STANDOFF_M, 0.0])
     target, report = axis[0], axis[0]
+    bend = np.zeros(2)
     tilt, tilt_target, tilt_report = np.zeros(2), np.zeros(2), np.zeros(2)
     held, wrong_n = np.full(n, STANDOFF_M), 0
     readings: list[tuple[int, int, NDArray[np.float64]]] = []
@@ -154,7 +171,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
     for ms in range(int(SECONDS * 1e3) * kind.passes):
         t, later = ms * 1e-3, ms * 1e-3 >= turn_s
         x = s.place_m(t if not later else 2.0 * turn_s - t)
-        z_m = axis[0] - s.heave_at(t)  # the ground heaves, its profile stays
+        z_m = axis[0] + bend[0] - s.heave_at(t)  # the ground heaves, its profile stays
         height = z_m - ground.height_m(x, later)
         # a tool that turns to the normal keeps its distance from the nearest ground
         clearance = ground.distance_m(x, z_m, later) if n > 2 else height
@@ -169,7 +186,7 @@ def play(follower: Any, s: Scenario) -> Outcome:
         if talks:
             off = s.size_m if "jump" in s.family and wrong else 0.0
             up, off = (off, 0.0) if s.family == "height jump" else (0.0, off)
-            z = float(axis[0]) + 0.05e-3 * float(rng.standard_normal())
+            z = float(axis[0] + (bend[0] if kind.bend_seen else 0.0)) + 0.05e-3 * float(rng.standard_normal())
             poses.append((ms + old_ms, (x + off, z + up), z, tilt.copy()))
         if ms % s.interval_ms == 0:
             q = quaternion(tilt)
@@ -200,7 +217,9 @@ def play(follower: Any, s: Scenario) -> Outcome:
             demand = follower.step((1000 + ms) * 1_000_000, np.full(n, math.nan))
             target = setpoint_for(report, float(demand[2]))
             tilt_target = tilt_report + np.array([float(demand[3]), float(demand[4])])
+        before_mps = float(axis[1])
         axis_step(axis, target, s.lag * PLANT.tau_s, PLANT.v_max_mps, PLANT.a_max_mps2, 1e-3)
+        bend_step(s, bend, float(axis[1]) - before_mps)
         axis[0] += s.push_mps * 1e-3 if t >= BEGIN_S else 0.0
         tilt += (tilt_target - tilt) * (1e-3 / PLANT.tau_s)
     return Outcome(float(least), contact, contact_valid, most_tilt)

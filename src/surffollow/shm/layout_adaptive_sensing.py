@@ -137,6 +137,8 @@ class ConstantRanges(Schema):
     slope = F64(doc="slope of the ground then")
     lasting_slope = F64(doc="its mean over the time before")
     mean_slope = F64(doc="mean slope of the ground lately")
+    steady_slope = F64(doc="mean slope along the path when the run began")
+    path_slope = F64(doc="mean slope along the path lately")
     top_z_m = F64(unit="m", doc="greatest height of the tool in the run")
     low_z_m = F64(unit="m", doc="least height of the tool in the run")
     rate_mps = F64(unit="m/s", doc="mean rate at which it rose or descended in the run")

@@ -21,6 +21,8 @@ MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before 
 QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
 USUAL_ERRORS = 3.0  # errors up to so many usual ones, as over ground that accelerates, are no sign of a fault
 MAX_USUAL_ERROR = 0.03  # of the stand-off: another controller may have led the tool far away from it
+MAX_UNSEEN = 0.35  # of the stand-off: clearance that may be lost unseen
+STEADY_M = 0.3  # over which ground with a mean slope has it: that of shorter waves is small
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 
@@ -30,6 +32,7 @@ def begin_run(params, adaptive, tool_z_m, range_m):
     """Begin a run of ranges with this mean, over the present slope, for this stand-off."""
     run = adaptive.run
     run.slope, run.lasting_slope = adaptive.estimate.slope, run.mean_slope
+    run.steady_slope = run.path_slope
     run.standoff_m = params.offset_m
     run.range_m, run.mean_m, run.samples, run.rate_mps = range_m, range_m, 0, 0.0
     run.top_z_m = run.low_z_m = tool_z_m
@@ -66,6 +69,8 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
     run.samples += 1
     rate = min(1.0, adaptive.hold.interval_s / (ANSWER_TAUS * adaptive.plant.tau_s))
     run.mean_slope += rate * (adaptive.estimate.slope - run.mean_slope)
+    share = min(1.0, path_speed(adaptive.kinematics) * adaptive.hold.interval_s / STEADY_M)
+    run.path_slope += share * (adaptive.estimate.slope - run.path_slope)
     # its own mean is the better known one, but in the test of a descent the middle of a spread is
     if adaptive.response.swing_m == 0.0 and number < run.samples < mean_range.RUN_SAMPLES:
         run.range_m += (run.mean_m - run.range_m) / run.samples
@@ -99,13 +104,14 @@ def proven_descent_m(params, adaptive, rate_s, sparse):
 
 
 @jit
-def sign_of_fault(adaptive, motion_m):
+def sign_of_fault(adaptive, motion_m, sunk_m):
     """Sign of a fault in the run.
 
     Parameters
     ----------
     adaptive : record of `AdaptiveState`
     motion_m : float64  motion of the run that counts [m]
+    sunk_m : float64    descent of the run less its ascent [m]
 
     Returns
     -------
@@ -122,17 +128,23 @@ def sign_of_fault(adaptive, motion_m):
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
     unusual = error_m > USUAL_ERRORS * run.error_m
     suspicious = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
-    if motion_m <= MOTION_BANDS * band_m:  # it hides in the noise
-        return layout.NO_SIGN
-    if (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == layout.ROTATION_FAILED:
+    travel_m = path_speed(adaptive.kinematics) * run.samples * adaptive.hold.interval_s
+    grave = (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == layout.ROTATION_FAILED
+    hides = motion_m <= MOTION_BANDS * band_m  # in the noise
+    if grave and not hides:
         return layout.SIGN_FOR_HOLD
+    # ground that rose steadily before the run may rise on
+    rise_m = max(run.steady_slope, 0.0) * min(travel_m, STEADY_M)
+    if below and sunk_m + rise_m > MAX_UNSEEN * run.standoff_m:
+        return layout.SIGN_FOR_SHIFT
+    if hides:
+        return layout.NO_SIGN
     # with fewer samples in τ the ground changes while an answer is awaited
     few = number < mean_range.MAX_READINGS
     lags = few or error_m <= mean_range.LAG_TAUS * lag_s * run.rate_mps
     slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
     if not below:  # the ground under the tool is not seen: it may rise as when the run began
-        run_s = run.samples * adaptive.hold.interval_s
-        motion_m += max(run.slope, 0.0) * path_speed(adaptive.kinematics) * run_s
+        motion_m += max(run.slope, 0.0) * travel_m
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
         return layout.NO_SIGN
     return layout.SIGN_FOR_SHIFT

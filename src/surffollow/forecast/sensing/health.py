@@ -3,7 +3,7 @@
 from surffollow.forecast import quantities
 from surffollow.forecast.plant.axis_model import PERIOD_S
 from surffollow.forecast.quantities import follow_interval, tolerated_gap_s
-from surffollow.forecast.sensing.constant_ranges import moves_tool
+from surffollow.forecast.sensing.constant_ranges import MAX_UNSEEN, moves_tool
 from surffollow.forecast.sensing.frame_check import is_reversed, moves_to_check
 from surffollow.forecast.sensing.kinematics import has_jumped, path_speed
 from surffollow.forecast.sensing.latency_identification import is_late
@@ -49,7 +49,7 @@ def update_unseen(params, adaptive, stuck):
     health, silent = adaptive.health, is_dropout(adaptive)
     if not silent and not stuck:
         health.unseen = 0
-    elif uncertain_clearance(adaptive, silent, repeats_itself(adaptive)) > 0.35 * params.offset_m:
+    elif uncertain_clearance(adaptive, silent, repeats_itself(adaptive)) > MAX_UNSEEN * params.offset_m:
         health.unseen = 1
 
 

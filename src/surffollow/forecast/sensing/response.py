@@ -94,11 +94,11 @@ def _update_run(params, adaptive, tool_z_m):
     response, run, tau_s = adaptive.response, adaptive.run, adaptive.plant.tau_s
     number, band_m = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
     descent, ascent = constant_ranges.observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
-    ascent *= ASCENT_SHARE
+    sunk_m, ascent = descent - ascent, ASCENT_SHARE * ascent
     rises = ascent > descent and descent < band_m  # it has not turned down since
     sparse = number <= mean_range.MIN_READINGS  # the ground changes while an answer is awaited
     repeated = is_repeated(adaptive.repeats)
-    sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent)
+    sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent, sunk_m)
     if run.mean_m < params.offset_m + max(band_m, mean_range.LAG_TAUS * tau_s * run.rate_mps):
         response.proven_m = 0.0
     returns = response.proven_m > 0.0 and not rises and not repeated
