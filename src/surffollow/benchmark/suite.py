@@ -82,12 +82,14 @@ def surface_profile(surface: str, seed: int) -> Profile:
     Raises
     ------
     UsageError
-        for a name that is neither a surface nor a readable file
+        for a name that is neither a surface nor a file
+    InputFileError
+        the file cannot be read
     """
     for known in (SHAPES, RANDOM, FAMILY_SURFACES, MEASURED):
         if surface in known:
             return known[surface](seed)
-    if not is_file(surface):
+    if Path(surface).suffix.lower() != ".csv" and not Path(surface).exists():
         raise UsageError(
             f"no surface '{surface}'; there are {', '.join(surface_names())}, or give a CSV file"
         )

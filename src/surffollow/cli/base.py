@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from surffollow.cli.json_values import without_nan
-from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, OutputFile
 
 CLIENTS = ("avoid", "follow-wall", "follow-wall-2", "go")
 EXPERIMENTS = ("paper", "1", "1-pair", "2")
@@ -33,7 +33,7 @@ EXPERIMENTS = ("paper", "1", "1-pair", "2")
     show_default=True,
     help="x [m], y [m] and heading [rad] in the room.",
 )
-@click.option("--log", type=click.Path(dir_okay=False), help="Write the true motion to this CSV file.")
+@click.option("--log", type=OutputFile(), help="Write the true motion to this CSV file.")
 @JSON
 def base_command(
     name: str, seconds: float, seed: int, start: tuple[float, float, float], log: str | None, as_json: bool
@@ -124,7 +124,7 @@ def seeds_of(ctx: click.Context, param: click.Parameter, value: str) -> range:
     show_default=True,
     help="Duration of the motion with --processes [s].",
 )
-@click.option("--plot", type=click.Path(dir_okay=False), help="Draw the first seed's run: PNG, SVG or PDF.")
+@click.option("--plot", type=OutputFile(), help="Draw the first seed's run: PNG, SVG or PDF.")
 @JSON
 def wall_follow_command(
     experiment: str, laps: int, seeds: range, processes: bool, seconds: float, plot: str | None, as_json: bool

@@ -8,12 +8,12 @@ from typing import Any
 
 import click
 
-from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, InputFile
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, InputFile, OutputFile
 
-FILE = InputFile(Path)
+FILE = InputFile(Path, streams=True)
 OUT = click.option(
     "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OutputFile(Path),
     required=True,
     help="Calibration file; what it holds of other kinds or channels stays.",
 )
@@ -64,7 +64,7 @@ def print_result(as_json: bool, found: dict[str, Any], text: str) -> None:
     "--indicated-unit",
     help="Unit of the column indicated in PAIRS, where it is a distance.  [default: the driver's, m or V]",
 )
-@click.option("--plot", type=click.Path(dir_okay=False), help="Draw table and residuals (extra plot).")
+@click.option("--plot", type=OutputFile(), help="Draw table and residuals (extra plot).")
 @CHANNEL
 @OUT
 @JSON

@@ -19,7 +19,7 @@ _BAR = 50
 @click.command("doctor")
 @JSON
 @click.option(
-    "--unit", type=click.Path(dir_okay=False), help="Check this systemd unit file instead of the machine."
+    "--unit", type=click.Path(), metavar="FILE", help="Check this systemd unit file instead of the machine."
 )
 def doctor_command(as_json: bool, unit: str | None) -> None:
     """Say what this machine lacks for hard timing, why it matters and how to get it. Changes nothing.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surffollow.cli.main import one_object_is_printed
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import SERVICE_NAME, Finite, InputFile, OutputFile
 
 if TYPE_CHECKING:
     from surffollow.errors import ServiceError
@@ -81,7 +81,7 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 )
 @click.option("--lane", callback=LENGTH, default="20 mm", show_default=True, help="Distance of raster lanes.")
 @click.option("--standoff", callback=optional_length, help="Desired stand-off [the service's own].")
-@click.option("--plant", type=click.Path(dir_okay=False), help="TOML file with the vertical axis.")
+@click.option("--plant", type=InputFile(streams=True), help="TOML file with the vertical axis.")
 @click.option(
     "--latency", callback=TIME, default="10 ms", show_default=True, help="Delay of the pose reports."
 )
@@ -107,7 +107,7 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 @click.option("--reset-stop", is_flag=True, help="Reset a stop that is latched at the start.")
 @click.option("--arbiter", type=SERVICE_NAME, help="Obey this arbiter instead of the service itself.")
 @click.option("--resource", default="tool", show_default=True, help="With --arbiter: what to obey.")
-@click.option("--trace", type=click.Path(dir_okay=False), help="Write what happened, step by step (NPZ).")
+@click.option("--trace", type=OutputFile(), help="Write what happened, step by step (NPZ).")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 def simulate_command(
     name: str,

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from surffollow.config.input_file import check_plain_file
 from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.map.formats.atomic_file import replacing
-from surffollow.scan.checks import Floats, plain_file, positive, real_array, region_of
+from surffollow.scan.checks import Floats, positive, real_array, region_of
 from surffollow.scan.path import ScanPath
 from surffollow.scan.terrain import delaunay
 from surffollow.scan.triangles import lay_triangles
@@ -235,7 +236,7 @@ class CalibrationMatrix:
         ------
         ScanFileError
         """
-        plain_file(path)
+        check_plain_file(path, ScanFileError)
         try:
             with open(path, encoding="ascii") as f:
                 facts = json.load(f)

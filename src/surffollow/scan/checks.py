@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surffollow.errors import ScanFileError, ScanInputError
+from surffollow.errors import ScanInputError
 from surffollow.units import numbers_text
 
 Floats = NDArray[np.float64]
@@ -71,12 +70,3 @@ def region_of(region: Sequence[float]) -> tuple[float, float, float, float]:
             f"{numbers_text(x0, y0, x1, y1)}"
         )
     return x0, y0, x1, y1
-
-
-def plain_file(path: str | os.PathLike[str]) -> None:
-    """Nothing, or ScanFileError: what stands there is a pipe or a device, which may never end.
-
-    A name that is not there is left to the reader.
-    """
-    if os.path.exists(path) and not os.path.isfile(path):
-        raise ScanFileError(f"{path} is no plain file; give a file that can be read to its end")

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from surffollow.config.input_file import check_plain_file
 from surffollow.errors import ScanFileError
-from surffollow.scan.checks import Floats, plain_file
+from surffollow.scan.checks import Floats
 
 CLOUD_SUFFIXES = (".ply", ".las")
 _PLY_TYPES = {
@@ -65,7 +66,7 @@ def read_cloud(path: str | os.PathLike[str]) -> Floats:
     array([[0. , 0. , 0.1],
            [1. , 0. , 0.2]])
     """
-    plain_file(path)
+    check_plain_file(path, ScanFileError)
     suffix = Path(path).suffix.lower()
     try:
         raw = Path(path).read_bytes()

@@ -15,7 +15,7 @@ from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import ScanFileError
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.attitude_angles import quaternions_of
-from surffollow.scan.checks import Floats, plain_file
+from surffollow.scan.checks import Floats
 from surffollow.scan.path import ScanPath
 from surffollow.sim.column_file import read_columns
 
@@ -181,10 +181,9 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
     >>> len(path), path.facts["gap_m"]
     (2, 0.05)
     """
-    plain_file(path)
     try:
-        comments, text = read_columns(path)
-    except (OSError, ValueError) as e:
+        comments, text = read_columns(path, ScanFileError)
+    except ValueError as e:
         raise ScanFileError(f"cannot read {path}: {e}") from e
     facts: dict[str, Any] = {}
     for comment in comments:
