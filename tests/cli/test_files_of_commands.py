@@ -117,7 +117,9 @@ def test_each_file_of_a_command_has_one_of_the_types_that_give_these_faults() ->
     found = dict(file_parameters(cli, "surffollow"))
     assert len(found) > len(VERBS)
     del found["surffollow doctor unit"]  # its error names an example
-    assert [n for n, kind in found.items() if not isinstance(kind, (InputFile, OutputFile, OutputFolder))] == []
+    assert [
+        n for n, kind in found.items() if not isinstance(kind, (InputFile, OutputFile, OutputFolder))
+    ] == []
 
 
 def test_a_plant_that_comes_out_of_a_pipe_is_read_once() -> None:

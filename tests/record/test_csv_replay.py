@@ -233,7 +233,7 @@ def test_the_command_prints_json_and_says_when_columns_are_missing(tmp_path: Pat
     assert "no change" in people.output
     with pytest.raises(UsageError, match="--columns"):
         CliRunner().invoke(replay_command, [file], catch_exceptions=False)
-    with pytest.raises(InputFileError, match="cannot read 'absent.csv'"):
+    with pytest.raises(InputFileError, match=r"cannot read 'absent\.csv'"):
         CliRunner().invoke(replay_command, ["absent.csv", *options], catch_exceptions=False)
 
 

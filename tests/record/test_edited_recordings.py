@@ -317,5 +317,7 @@ def test_a_pipe_is_no_recording_and_is_not_waited_for(
     done = CliRunner().invoke(plot_command, [str(tmp_path / "run.mcap")])
     with pytest.raises(RecordingError, match="is a pipe, no plain file"):
         raise done.exception or AssertionError(done.output)
-    with pytest.raises(RecordingError, match="is a pipe, no plain file; write what comes out of it to a file first"):
+    with pytest.raises(
+        RecordingError, match="is a pipe, no plain file; write what comes out of it to a file first"
+    ):
         replay_file(tmp_path / "run.mcap")
