@@ -9,7 +9,7 @@ import sys
 import click
 
 from surffollow.cli.ending import check_holder_is_here, end_process
-from surffollow.cli.entry import ended_at_once_by_interrupts
+from surffollow.cli.entry import EndedAtOnceByInterrupts
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, InputFile
 from surffollow.errors import FaultError
 
@@ -55,7 +55,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
     SIGTERM, SIGHUP and Ctrl-C end it.
     """
     check_address_space()
-    with ended_at_once_by_interrupts():
+    with EndedAtOnceByInterrupts():
         from surffollow.service.messages import hold_standard_files
 
         hold_standard_files()
