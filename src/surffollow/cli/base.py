@@ -178,19 +178,21 @@ def median_of(runs: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def line_of(f: dict[str, Any]) -> str:
-    """The figures in one line; "-" for figures that the run was too short for."""
+    """The figures in one line; figures that the run was too short for say where they begin."""
     import math
 
-    def shown(value: float, form: str, unit: str) -> str:
-        return "-" if math.isnan(value) else format(value, form) + unit
-
+    along = "distance and heading to the wall only from two turns on"
+    if not math.isnan(f["distance_rms_m"]):
+        along = (
+            f"distance RMS {1e3 * f['distance_rms_m']:.0f} mm, "
+            f"off the wall by {math.degrees(f['heading_rms_rad']):.2f}° RMS"
+        )
     repeatability = math.degrees(f["heading_repeatability_rad"])
     repeats = "heading repeatability only from two laps on"
     if not math.isnan(repeatability):
         repeats = f"heading repeats within {repeatability:.2f}°"
     return (
-        f"distance RMS {shown(1e3 * f['distance_rms_m'], '.0f', ' mm')}, {repeats}, off the wall by "
-        f"{shown(math.degrees(f['heading_rms_rad']), '.2f', '°')} RMS, "
-        f"least gap {1e3 * f['least_gap_m']:.0f} mm, {f['contacts']:.0f} contacts of {f['contact_s']:.1f} s, "
+        f"{along}, {repeats}, least gap {1e3 * f['least_gap_m']:.0f} mm, "
+        f"{f['contacts']:.0f} contacts of {f['contact_s']:.1f} s, "
         f"{f['laps']:.2f} laps in {f['seconds']:.0f} s"
     )

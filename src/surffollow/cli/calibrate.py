@@ -123,8 +123,9 @@ def range_command(
         }
     }
     save_calibration(out, merged(out, tables=(fit.table,), about=about))
+    driver_unit = "m" if indicated_unit else "m or V"
     if plot:
-        draw_fit(plot, indicated, true_m, fit, "m" if indicated_unit else "m or V")
+        draw_fit(plot, indicated, true_m, fit, driver_unit)
     worst_m = max(map(abs, fit.residuals_m), default=0.0)
     inner = np.unique(indicated)[1:-1]
     worst_at = float(inner[int(np.argmax(np.abs(fit.residuals_m)))])
@@ -138,8 +139,8 @@ def range_command(
             "notes": notes,
         },
         f"{fit.method} through {len(indicated)} pairs; each pair against the curve without it: RMS "
-        f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm at {worst_at:.6g}; wrote {out}"
-        + "".join(f"\nnote: {note}" for note in notes),
+        f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm where {worst_at:.6g} {driver_unit} is "
+        f"indicated; wrote {out}" + "".join(f"\nnote: {note}" for note in notes),
     )
 
 
