@@ -1,4 +1,4 @@
-"""What may be read as an input file: one check for all readers, each with its own error."""
+"""One check of input files serves all readers, each with its own error."""
 
 from __future__ import annotations
 

@@ -113,3 +113,10 @@ def test_plant_file_is_read_and_a_wrong_key_or_value_is_refused(tmp_path) -> Non
         load_plant("/dev/zero")
     with pytest.raises(InputFileError, match="absent"):
         load_plant(tmp_path / "absent.toml")
+
+
+def test_a_plant_file_of_deeply_nested_values_is_refused(tmp_path):
+    """It ended in a RecursionError."""
+    (tmp_path / "deep.toml").write_text("a = " + 5000 * "[")
+    with pytest.raises(ConfigError, match=r"deep\.toml is not TOML: its values are nested too deeply"):
+        load_plant(tmp_path / "deep.toml")

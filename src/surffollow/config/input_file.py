@@ -1,4 +1,4 @@
-"""What may be read as an input file: nothing is waited for, and nothing without an end is read."""
+"""Read input files; nothing is waited for, and nothing without an end is read."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import ScanInputError
 from surffollow.units import numbers_text
 
@@ -58,6 +59,16 @@ def finite(name: str, value: float, unit: str = "m") -> float:
 def cells_along(length_m: float, grid_m: float) -> int:
     """How many cells cover a length, which is rounded where its ends are far from the origin."""
     return math.ceil(length_m / grid_m - SAME_CELLS)
+
+
+def near(name: str, values_m: ArrayLike) -> None:
+    """Nothing, or ScanInputError: a coordinate is beyond the farthest place that a pose may have."""
+    values = np.asarray(values_m, np.float64)
+    if (np.abs(values) > MAX_POSITION_M).any():
+        farthest_m = float(values.flat[np.nanargmax(np.abs(values))])
+        raise ScanInputError(
+            f"{name} has a coordinate of {farthest_m:g} m; expected at most {MAX_POSITION_M:g} m: in metres?"
+        )
 
 
 def region_of(region: Sequence[float]) -> tuple[float, float, float, float]:

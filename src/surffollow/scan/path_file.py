@@ -10,6 +10,7 @@ import os
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import ScanFileError
@@ -123,9 +124,10 @@ def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:
 
 def _check_attitudes(path: str | os.PathLike[str], plan: ScanPath, quaternion: Floats) -> None:
     """Refuse a row whose quaternion is another attitude than its normal and azimuth, which a run uses."""
-    expected = quaternions_of(plan.normal, plan.azimuth_rad)
-    apart = [np.linalg.norm(quaternion + sign * expected, axis=1) for sign in (-1.0, 1.0)]
-    off = np.maximum(np.minimum(*apart), np.abs(np.linalg.norm(plan.normal, axis=1) - 1.0))
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite ones are wrong, too
+        expected = quaternions_of(plan.normal, plan.azimuth_rad)
+        apart = [np.linalg.norm(quaternion + sign * expected, axis=1) for sign in (-1.0, 1.0)]
+        off = np.maximum(np.minimum(*apart), np.abs(np.linalg.norm(plan.normal, axis=1) - 1.0))
     wrong = ~(off <= ATTITUDE_SPARE)
     if wrong.any():
         k = int(np.argmax(wrong))
@@ -133,6 +135,14 @@ def _check_attitudes(path: str | os.PathLike[str], plan: ScanPath, quaternion: F
             f"{path}, row {k + 1}: the quaternion and the attitude of normal and azimuth differ by "
             f"{off[k]:.3g}, expected at most {ATTITUDE_SPARE:g}, in {wrong.sum()} rows: plan it again"
         )
+
+
+def _whole(path: str | os.PathLike[str], values: Floats, kind: type[np.integer[Any]]) -> NDArray[Any]:
+    """The column in an integer type, which has to hold it."""
+    bounds = np.iinfo(kind)
+    if not ((values >= bounds.min) & (values <= bounds.max) & (values == np.floor(values))).all():
+        raise ScanFileError(f"{path} has a pass or flags that are no whole numbers")
+    return values.astype(kind)
 
 
 def _check_places(path: str | os.PathLike[str], at: dict[str, Floats]) -> None:
@@ -202,7 +212,6 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
         raise ScanFileError(f"{path} lacks the columns {', '.join(missing)}")
     try:
         at = {name: np.array([float(v) for v in text[name]]) for name in COLUMNS}
-        flags, passes = at["flags"].astype(np.uint32), at["pass"].astype(np.int32)
     except ValueError as e:
         raise ScanFileError(f"{path} has a row that is not numbers: {e}") from e
     if len(at["t_s"]) == 0:
@@ -212,8 +221,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
             f"{path} has {len(at['t_s'])} rows, its header says {count}; the file is not whole: plan it again"
         )
     _check_places(path, at)
-    if not (np.isfinite(at["flags"]) & np.isfinite(at["pass"])).all():
-        raise ScanFileError(f"{path} has a pass or flags that are no whole numbers")
+    flags, passes = _whole(path, at["flags"], np.uint32), _whole(path, at["pass"], np.int32)
     plan = ScanPath(
         at["t_s"],
         np.column_stack([at["x_m"], at["y_m"], at["z_m"]]),

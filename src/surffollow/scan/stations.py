@@ -15,7 +15,7 @@ from surffollow.config.input_file import check_plain_file
 from surffollow.config.toml_file import read_toml
 from surffollow.errors import MapFileError, ScanFileError, ScanInputError
 from surffollow.scan.camera import rigid_transform
-from surffollow.scan.checks import Floats
+from surffollow.scan.checks import Floats, near
 from surffollow.scan.grid import MEASURED, TerrainGrid
 from surffollow.scan.map_file import read_ground
 from surffollow.scan.surface_lookup import sample_surface
@@ -93,6 +93,7 @@ def _pose(path: str, name: str, given: Any) -> Floats:
         raise ScanInputError(f"{path}, station {name}: {e}") from e
     if not all(map(math.isfinite, (x, y, z, heading))):
         raise ScanInputError(f"{path}, station {name}: its pose is not finite")
+    near(f"{path}, station {name},", (x, y, z))
     c, s = math.cos(math.radians(heading)), math.sin(math.radians(heading))
     return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]])
 

@@ -15,7 +15,7 @@ import msgspec
 from numpy.typing import NDArray
 
 from surffollow.config.key_errors import key_error_text
-from surffollow.config.toml_file import read_small
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import ConfigError, UsageError
 from surffollow.shm.jit import jit
 from surffollow.units import parse_quantity
@@ -94,11 +94,7 @@ def from_table(table: dict[str, Any], kind: type[T], source: str) -> T:
 
 def read_tables(path: str | Path) -> dict[str, Any]:
     """Read a TOML file; ConfigError or InputFileError says why not."""
-    try:
-        table: dict[str, Any] = msgspec.toml.decode(read_small(path, "plant", ConfigError))
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot use the plant '{path}': {error}") from error
-    return table
+    return read_toml(path, "plant", ConfigError)
 
 
 def load_plant(path: str | Path) -> PlantConfig:
