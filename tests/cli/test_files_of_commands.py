@@ -14,6 +14,7 @@ from surffollow.benchmark.conditions import load_conditions
 from surffollow.cli.main import VERBS, cli
 from surffollow.cli.option_types import InputFile, OutputFile, OutputFolder
 from surffollow.errors import FaultError
+from surffollow.record.writer import MessageWriter
 
 # {} stands for the file; the other words let the command come to it
 READERS = [
@@ -94,6 +95,22 @@ def test_a_name_that_is_not_there_is_a_fault_of_every_command_that_reads_a_file(
 def test_a_folder_is_a_fault_of_every_command_that_writes_a_file(words: str) -> None:
     words = words.replace("{}/a.csv", "a.csv/sub").replace("{}", "sub")
     assert "sub" in fault_of(words)
+
+
+LOOKED_AT = ["demo --picture {}.png", "demo --keep {}", "benchmark --methods p --out {}"]
+
+
+@pytest.mark.parametrize("words", [w for w in (*READERS, *LOOKED_AT) if w != "benchmark --surface {}"])
+def test_a_name_that_may_not_be_looked_at_is_a_fault_of_every_command(words: str) -> None:
+    """As one in a folder of another user: `Path.exists` raises there, up to Python 3.11."""
+    says = fault_of(words.replace("{}/.", "{}.csv").replace("{}", 300 * "n"))
+    assert "nnn" in says
+    assert "File name too long" in says or "no unit file" in says
+
+
+def test_a_recording_that_may_not_be_looked_at_is_a_fault() -> None:
+    with pytest.raises(FaultError, match=r"cannot write recording n+: File name too long; choose another"):
+        MessageWriter(300 * "n")
 
 
 def test_a_file_in_the_place_of_a_folder_is_a_fault() -> None:

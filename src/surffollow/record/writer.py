@@ -81,7 +81,7 @@ class MessageWriter:
         self._finished = False
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        if stream is None and self.path.exists() and not self.path.is_file():
+        if stream is None and os.path.exists(self.path) and not os.path.isfile(self.path):
             # a pipe would wait for its reader, and a device keeps nothing
             raise FaultError(f"recording {self.path} is there and is no plain file; choose another --out")
         try:

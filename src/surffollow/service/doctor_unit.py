@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -33,7 +34,7 @@ def examine_unit(unit: Path) -> list[Finding]:
     ------
     InputFileError  there is no such file
     """
-    if not unit.is_file():
+    if not os.path.isfile(unit):
         raise InputFileError(
             f"there is no unit file {unit}; an example to copy is {SYSTEMD / 'surffollow.service'}"
         )
