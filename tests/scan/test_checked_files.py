@@ -317,3 +317,16 @@ def test_an_attitude_that_is_none_is_refused_without_a_warning(tmp_path, column,
     write_table(file, comments, names, rows)
     with pytest.raises(ScanFileError, match="row 4: the quaternion and the attitude"):
         read_path(file)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_body_whose_squares_overflow_is_refused_by_check_and_run(tmp_path):
+    ground = ground_of(5, 120)
+    _, file = plan_of(tmp_path, ground)
+    comments, names, rows = table_of(file)
+    at = next(k for k, line in enumerate(comments) if line.startswith("# body_m"))
+    comments[at] = "# body_m = [[0.0, 0.0, 0.0], [0.1, 0.0, 1e308]]"
+    write_table(file, comments, names, rows)
+    for read in (lambda: findings_of(ground, file), lambda: read_path(file)):
+        with pytest.raises(ScanFileError, match=r"the fact body_m is .*1e.308.* finite .*at most 1e.09"):
+            read()

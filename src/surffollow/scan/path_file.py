@@ -108,17 +108,16 @@ def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:
         except (TypeError, ValueError):
             value = np.full(1, np.nan)
         columns = ARRAYS.get(key)
-        good = value.size > 0 and bool(np.isfinite(value).all())
+        good = value.size > 0 and bool((np.abs(value) <= MAX_POSITION_M).all())
         if columns is None:
             good = good and value.ndim == 0 and float(value) > 0.0
         else:
             good = good and value.ndim == len(columns) and value.shape[-1] in columns[-1]
         if not good:
-            expected = (
-                "a finite number above 0" if columns is None else f"rows of {columns[-1][0]} finite numbers"
-            )
+            expected = "a number above 0" if columns is None else f"rows of {columns[-1][0]} numbers"
             raise ScanFileError(
-                f"{path}: the fact {key} is {facts[key]!r}; expected {expected}: plan it again"
+                f"{path}: the fact {key} is {str(facts[key])[:80]}; expected {expected}, finite and at most "
+                f"{MAX_POSITION_M:g}: plan it again"
             )
 
 
