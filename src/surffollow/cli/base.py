@@ -10,6 +10,7 @@ import click
 
 from surffollow.cli.json_values import without_nan
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, OutputFile
+from surffollow.cli.progress import shows_compiling
 
 CLIENTS = ("avoid", "follow-wall", "follow-wall-2", "go")
 EXPERIMENTS = ("paper", "1", "1-pair", "2")
@@ -126,6 +127,7 @@ def seeds_of(ctx: click.Context, param: click.Parameter, value: str) -> range:
 )
 @click.option("--plot", type=OutputFile(), help="Draw the first seed's run: PNG, SVG or PDF.")
 @JSON
+@shows_compiling
 def wall_follow_command(
     experiment: str, laps: int, seeds: range, processes: bool, seconds: float, plot: str | None, as_json: bool
 ) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import click
 
 from surffollow.cli.option_types import JSON, InputFile, OutputFile, rate_option
+from surffollow.cli.progress import shows_compiling
 
 
 def report_damage(damage: Sequence[str]) -> None:
@@ -34,6 +35,7 @@ def report_damage(damage: Sequence[str]) -> None:
 @rate_option("Samples per second; 0: every cycle.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @JSON
+@shows_compiling
 def convert_command(
     files: tuple[str, ...], to: str, out: str | None, rate: float, force: bool, as_json: bool
 ) -> None:

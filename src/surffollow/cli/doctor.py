@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from surffollow.cli.option_types import JSON, Finite
+from surffollow.cli.progress import shows_compiling
 from surffollow.errors import UsageError
 
 _MARKS = {"good": "ok", "fair": "fair", "lacking": "LACKS", "unknown": "?"}
@@ -108,6 +109,7 @@ def _duration(low_s: float, high_s: float) -> Callable[[click.Context, click.Par
 )
 @click.option("--cyclictest/--no-cyclictest", "beside", default=True, help="Run cyclictest in between.")
 @JSON
+@shows_compiling
 def latency_command(
     seconds: float,
     period: int,

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from surffollow.cli.option_types import COLUMNS, JSON, Finite, InputFile, OutputFile
+from surffollow.cli.progress import shows_compiling
 
 
 @click.command("plot")
@@ -23,6 +24,7 @@ from surffollow.cli.option_types import COLUMNS, JSON, Finite, InputFile, Output
 @click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")
 @click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
 @JSON
+@shows_compiling
 def plot_command(
     file: str,
     out: str | None,

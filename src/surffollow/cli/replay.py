@@ -8,6 +8,7 @@ from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.convert import report_damage
 from surffollow.cli.csv_replay import TABLES, output_suffix, replay_csv_command
 from surffollow.cli.option_types import COLUMNS, JSON, SERVICE_NAME, Finite, InputFile, OutputFile
+from surffollow.cli.progress import shows_compiling
 
 
 @click.command("replay")
@@ -33,6 +34,7 @@ from surffollow.cli.option_types import COLUMNS, JSON, SERVICE_NAME, Finite, Inp
     "--live", is_flag=True, help="Play the recording into a service started for it, at its own pace."
 )
 @click.option("--name", type=SERVICE_NAME, help="Name of that service.  [default: replay-PID]")
+@shows_compiling
 def replay_command(
     file: str,
     as_json: bool,

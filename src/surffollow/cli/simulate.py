@@ -11,6 +11,7 @@ import click
 
 from surffollow.cli.main import one_object_is_printed
 from surffollow.cli.option_types import SERVICE_NAME, Finite, InputFile, OutputFile
+from surffollow.cli.progress import shows_compiling
 
 if TYPE_CHECKING:
     from surffollow.errors import ServiceError
@@ -109,6 +110,7 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 @click.option("--resource", default="tool", show_default=True, help="With --arbiter: what to obey.")
 @click.option("--trace", type=OutputFile(), help="Write what happened, step by step (NPZ).")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+@shows_compiling
 def simulate_command(
     name: str,
     path: str,

@@ -62,10 +62,11 @@ def cells_along(length_m: float, grid_m: float) -> int:
 
 
 def near(name: str, values_m: ArrayLike) -> None:
-    """Nothing, or ScanInputError: a coordinate is beyond the farthest place that a pose may have."""
+    """Nothing, or ScanInputError: a finite coordinate is beyond the farthest place that a pose may have."""
     values = np.asarray(values_m, np.float64)
-    if (np.abs(values) > MAX_POSITION_M).any():
-        farthest_m = float(values.flat[np.nanargmax(np.abs(values))])
+    far = values[np.isfinite(values) & (np.abs(values) > MAX_POSITION_M)]
+    if far.size:
+        farthest_m = float(far[np.abs(far).argmax()])
         raise ScanInputError(
             f"{name} has a coordinate of {farthest_m:g} m; expected at most {MAX_POSITION_M:g} m: in metres?"
         )
