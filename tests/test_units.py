@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surffollow.errors import UsageError
-from surffollow.units import decimal_number, format_ns, numbers_text, parse_quantity, unit_scale
+from surffollow.units import decimal_number, format_ns, is_bare, numbers_text, parse_quantity, unit_scale
 
 
 @pytest.mark.parametrize(
@@ -151,3 +151,12 @@ def test_a_number_for_people_has_six_digits_and_its_thousandths(number, text):
 def test_what_no_table_means_as_a_number_is_none(text):
     with pytest.raises(ValueError, match=r"could not convert|no decimal number"):
         decimal_number(text)
+
+
+def test_a_text_of_thousands_of_digits_is_refused_at_once() -> None:
+    """The pattern tried the square and the cube of its length; minutes passed."""
+    for text in (5000 * "9" + "\n[sensor] sigma", 20_000 * "1" + " a b"):
+        with pytest.raises(UsageError, match=f"a text of {len(text)} characters is no quantity"):
+            parse_quantity(text, "m")
+        assert is_bare(text)
+    assert parse_quantity(300 * "0" + "1.5 mm", "m") == 0.0015

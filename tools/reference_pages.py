@@ -39,10 +39,12 @@ This page is for users of the command line. It has the help text of every comman
 
 Exit codes: 0 done, 1 fault, 2 wrong usage, 130 interrupted by Ctrl-C. Commands that run until Ctrl-C
 exit with 0 then. SIGTERM and SIGHUP end the commands that run until Ctrl-C in the same way. They end
-`scan run` and a waiting `simulate` with 130, and all other commands in order with 143 and 129. In
-the first tenth of a second, in which Python starts, Ctrl-C may print a traceback.
+`scan run` and a waiting `simulate` with 130, and all other commands in order with 143 and 129.
+Before the first line of surffollow, in the 0.03 s in which Python itself starts, Ctrl-C may print a
+traceback of Python.
 
-An input that is not there and an output that exists already are faults: exit code 1.
+An input that is not there, may not be read or is a folder is a fault: exit code 1. So is an output
+that exists already, is a folder or cannot be written.
 
 With `--json` an error is one JSON object on stdout: `error` (its text), `kind` (its class of
 `surffollow.errors`) and `exit_code`. The text is on stderr, with `--json` too. `blocks watch` and

@@ -2,6 +2,7 @@
  * A robot controller in C: a path over the ground at 100 Hz, whose height follows the service's demands.
  *
  *     surffollow start &
+ *     surffollow status --wait 600    # until it is READY
  *     cc -std=c11 -O2 $(surffollow print-header --cflags) -o controller controller.c -lm
  *     ./controller surf 20
  *

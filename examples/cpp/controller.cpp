@@ -2,6 +2,7 @@
 // examples/c/controller.c with a map of the way made at its end.
 //
 //     surffollow start &
+//     surffollow status --wait 600    # until it is READY
 //     c++ -std=c++17 -O2 $(surffollow print-header --cflags) -o controller controller.cpp
 //     ./controller surf 20 map.txt
 #include "surffollow.h"

@@ -1,6 +1,7 @@
 """A robot controller in Python: a path over the ground at 100 Hz, whose height follows the service's demands.
 
     surffollow start &
+    surffollow status --wait 600    # until it is READY
     python controller.py surf 20 --plot run.png
 
 The arm is a stand-in: an axis that reaches its setpoint within a speed limit. Put your own read_pose() and

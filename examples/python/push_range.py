@@ -1,6 +1,7 @@
 """A laser of your own, pushed into the service, and a controller that follows the ground which it sees.
 
     surffollow start --config laser.toml &
+    surffollow status --wait 600    # until it is READY
     python push_range.py surf 20
 
 laser.toml:

@@ -20,11 +20,12 @@ The service itself is the command `surffollow`.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import sys
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # not typing's: its import takes as long as all before `cli.entry` handles Ctrl-C
 if TYPE_CHECKING:
+    from typing import Any
+
     from surffollow.follower import Follower
 
 __all__ = ["Follower"]
@@ -34,6 +35,8 @@ _HEAVY = ("hw", "map", "scan", "sonar")
 
 def __dir__() -> list[str]:
     """Names that can be used here; those that compute are left out of a client-only installation."""
+    import importlib.util
+
     computes = importlib.util.find_spec("numba") is not None
     own = (n for n in globals() if n.startswith("__") or f"{__name__}.{n}" in sys.modules)
     return sorted({*own, "__version__", *_LIGHT, *((*__all__, *_HEAVY) if computes else ())})

@@ -26,6 +26,7 @@
         │   ├── NoPermissionError          the block's mode forbids it (also PermissionError)
         │   ├── BusyError                  another live process holds what must be held by one
         │   └── BlockTimeoutError          a block's turn did not come in time (also TimeoutError)
+        ├── InputFileError                 a file to be read is not there, unreadable or no file
         ├── RecordingError                 a recording or log cannot be read
         ├── MapFileError                   a map file cannot be read or written
         │   └── MapCancelledError          the caller cancelled reading or writing it
@@ -208,6 +209,21 @@ class BusyError(BlockError):
 
 class BlockTimeoutError(BlockError, TimeoutError):
     """Readers or the writer of a block did not let the caller in within its time."""
+
+
+class InputFileError(FaultError):
+    """A file to be read that is not there, may not be read, or is a folder, a pipe or a device.
+
+    Examples
+    --------
+    >>> import surffollow
+    >>> from surffollow.errors import InputFileError
+    >>> try:
+    ...     surffollow.Follower("no-such-file.toml")
+    ... except InputFileError as e:
+    ...     print(e, e.exit_code)
+    cannot read configuration no-such-file.toml: No such file or directory 1
+    """
 
 
 class RecordingError(FaultError):

@@ -54,7 +54,8 @@ _UNITS: dict[str, tuple[str, float | Fraction]] = {
 }
 # what an error shows as a unit that a quantity can have
 _USUAL = {"m": "mm", "s": "ms", "ns": "ms", "rad": "deg", "m/s": "mm/s"}
-_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*$")
+_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*$")
+MAX_CHARACTERS = 1000  # of a quantity; the time to find that a text is none grows with its square
 
 
 def unit_scale(unit: str, si_unit: str) -> float:
@@ -132,9 +133,10 @@ def parse_quantity(value: object, unit: str, bare: bool = False) -> float:
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
         raise UsageError(f"{value!r} is no quantity; write a number or text like '5 {unit}'")
     if isinstance(value, str):
-        match = _QUANTITY.match(value)
+        match = _QUANTITY.match(value) if len(value) <= MAX_CHARACTERS else None
         if match is None:
-            raise UsageError(f"{value!r} is no quantity; write a number and a unit, like '5 {unit}'")
+            text = f"{value!r}" if len(value) <= MAX_CHARACTERS else f"a text of {len(value)} characters"
+            raise UsageError(f"{text} is no quantity; write a number and a unit, like '5 {unit}'")
         number = float(match[1])
         if match[2]:
             scale = _exact_scale(match[2], unit)
@@ -276,7 +278,8 @@ def is_bare(value: object) -> bool:
     >>> is_bare(2), is_bare("2"), is_bare("2 s")
     (True, True, False)
     """
-    match = _QUANTITY.match(value) if isinstance(value, str) else None
+    is_text = isinstance(value, str) and len(value) <= MAX_CHARACTERS
+    match = _QUANTITY.match(str(value)) if is_text else None
     return match is None or not match[2]
 
 

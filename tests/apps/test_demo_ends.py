@@ -18,7 +18,7 @@ from surffollow.apps.demo_figures import table, verdict
 from surffollow.apps.demo_picture import draw_demo
 from surffollow.apps.demo_task import DemoConfig
 from surffollow.cli.demo import demo_command
-from surffollow.errors import SurffollowError
+from surffollow.errors import FaultError, SurffollowError
 
 RESULT = {
     "standoff_rms_m": None,
@@ -101,8 +101,6 @@ def test_a_demonstration_that_is_ended_by_a_signal_leaves_no_process_and_no_memo
         (["--surface", "nonesuch"], "nonesuch"),
         (["--offset", "5m"], "stand-off"),
         (["--seconds", "nan"], "nan"),
-        (["--keep", "/proc/nowhere"], "/proc/nowhere"),
-        (["--picture", "/proc/a.png"], "/proc/a.png"),
         (["--picture", "a.doc"], ".png"),
         (["--seconds", "3600", "--speed", "1 m/s"], "do not fit"),
     ],
@@ -118,6 +116,15 @@ def test_what_cannot_be_done_is_refused_before_anything_starts(
     error = done.exception
     assert said in (str(error) if isinstance(error, SurffollowError) else done.output)
     assert (error.exit_code if isinstance(error, SurffollowError) else done.exit_code) == 2
+
+
+@pytest.mark.parametrize("words", [["--keep", "/proc/nowhere"], ["--picture", "/proc/a.png"]])
+def test_an_output_that_cannot_be_written_is_a_fault_before_anything_starts(
+    words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("surffollow.apps.child_processes.subprocess.Popen", lambda *_: pytest.fail("started"))
+    with pytest.raises(FaultError, match=f"{words[1]}.*; choose another"):
+        CliRunner().invoke(demo_command, words, catch_exceptions=False)
 
 
 def test_a_run_too_short_to_be_scored_says_so_in_verdict_table_and_picture(tmp_path: Path) -> None:

@@ -108,6 +108,13 @@ def test_short_runs_tell_what_they_can_and_how_long_walls_were_touched():
     assert out.stdout.endswith("; lap 1 counts as done 20° before its end\n")
 
 
+def test_a_run_without_a_straight_between_turns_says_so(monkeypatch):
+    monkeypatch.setattr(wall_following, "MAX_S", 3.0)
+    out = wall_follow("--experiment", "2", "--laps", "1", "--seeds", "1").stdout
+    assert "distance and heading to the wall only from two turns on" in out
+    assert not {"-", "nan"} & set(out.replace(",", " ").split())
+
+
 def test_a_run_whose_time_is_over_says_so(monkeypatch):
     monkeypatch.setattr(wall_following, "MAX_S", 3.0)
     assert run_experiment("paper", laps=1).ended == "the time of 3 s was over before lap 1 was done"
@@ -234,3 +241,6 @@ def test_a_run_without_a_straight_is_drawn_over_its_whole_time():
     axes = figure_of(run, "short").axes
     timed = [ax for ax in axes if "heading [°]" in ax.get_ylabel() or ax.get_title() == "who held the base"]
     assert [ax.get_xlim() for ax in timed][-1] == pytest.approx((0.0, 14.0))
+    # an empty panel says why it is empty
+    (distance,) = (ax for ax in axes if "distance to the" in ax.get_ylabel())
+    assert [text.get_text() for text in distance.texts] == ["counted between two turns"]

@@ -22,7 +22,7 @@ from surffollow.benchmark.methods import all_methods, check_methods
 from surffollow.benchmark.report import markdown_table, text_table
 from surffollow.benchmark.suite import Cell, main_cells, surface_names, sweep_cells
 from surffollow.cli.benchmark import benchmark_command
-from surffollow.errors import FaultError, UsageError
+from surffollow.errors import FaultError, InputFileError, UsageError
 from surffollow.sim.plant import PlantConfig
 from surffollow.sim.profiles_measured import read_csv
 
@@ -188,7 +188,7 @@ def test_follower_of_anybody_may_enter() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--surface", "nowhere.csv"), "nowhere.csv"),
+        (("--surface", "nowhere"), "nowhere"),
         (("--methods", "magic"), "magic"),
         (("--methods", "mine=no.such:thing"), "no.such"),
         (("--methods", "mine=os:getcwd"), "TypeError"),
@@ -199,13 +199,19 @@ def test_follower_of_anybody_may_enter() -> None:
         (("--seeds", "x"), "A:B"),
         (("--speed", "fast"), "fast"),
         (("--surface", "flat", "--speed", "100"), "speed"),
-        (("--plant", "nowhere.toml"), "nowhere.toml"),
     ],
 )
 def test_request_that_cannot_be_run_says_why(arguments: tuple[str, ...], said: str) -> None:
     result = call(*arguments)
     assert getattr(result.exception, "exit_code", result.exit_code) == 2
     assert said in f"{result.output}{result.stderr}{result.exception}"
+
+
+@pytest.mark.parametrize("arguments", [("--surface", "nowhere.csv"), ("--plant", "nowhere.toml")])
+def test_a_file_that_is_not_there_is_a_fault(arguments: tuple[str, str]) -> None:
+    result = call(*arguments)
+    assert isinstance(result.exception, InputFileError)
+    assert arguments[1] in str(result.exception)
 
 
 def test_list_names_surfaces_and_methods_without_running() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -96,7 +95,7 @@ def test_a_name_as_long_as_the_file_system_takes_is_written(tmp_path: Path) -> N
 @pytest.mark.parametrize("command", ["plot .", "plot /", "plot ..", "recover .", "recover /", "replay ."])
 def test_a_folder_is_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
     monkeypatch.chdir(tmp_path)
-    assert re.search("Is a directory|is a folder", in_one_line(CliRunner().invoke(cli, command.split())))
+    assert "is a folder" in in_one_line(CliRunner().invoke(cli, command.split()))
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from running_service import Service, objects_of, unique_name
+from surffollow.cli import main as main_module
+
+SRC = Path(__file__).parents[2] / "src"
+MORE = ("warnings", "signal", "_signal")
+PLAIN = {**os.environ, "PYTHONPATH": str(SRC)}  # -S: no module of an environment comes before
 
 # Ctrl-C arrives while a module is looked for, in code that lets no exception out
 INTERRUPTING = """
@@ -42,6 +48,32 @@ def test_an_interrupt_during_the_imports_of_start_ends_it(module: str, tmp_path:
     more = {"PYTHONPATH": os.pathsep.join(paths), "INTERRUPTED_MODULE": module}
     done = subprocess.run(words, env=os.environ | more, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (128 + signal.SIGINT, "", "")
+
+
+def test_hardly_anything_is_imported_before_an_interrupt_ends_the_process_at_once() -> None:
+    """The imports of typing and contextlib took longer than the start of Python itself."""
+    looks = "there = set(sys.modules); import surffollow.cli.entry; print(*set(sys.modules) - there)"
+    code = f"import os, re, sys; {looks}"  # an interpreter and the script of a command load these
+    done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, env=PLAIN)
+    ours = {n for n in done.stdout.split() if n.startswith("surffollow")}
+    assert ours == {"surffollow", "surffollow.cli", "surffollow.cli.entry"}, done.stderr
+    others = set(done.stdout.split()) - ours
+    assert others <= {
+        "__future__",
+        "importlib",
+        "importlib._bootstrap",
+        "importlib._bootstrap_external",
+        *MORE,
+    }
+
+
+def test_an_interrupt_while_the_options_are_read_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(main_module.LazyGroup, "format_commands", interrupt)
+    done = CliRunner().invoke(main_module.cli, ["--help"])
+    assert (done.exit_code, done.output) == (128 + signal.SIGINT, "")
 
 
 DRIVER = """

@@ -19,18 +19,18 @@ COMMAND = [sys.executable, "-m", "surffollow"]
     ("words", "code", "kind", "says"),
     [
         (("status", "--name", "json-none"), 1, "NotRunningError", "json-none"),
-        (("replay", "none.mcap"), 1, "RecordingError", "none.mcap"),
-        (("replay", "none.csv"), 2, "UsageError", "--columns"),
+        (("replay", "none.mcap"), 1, "InputFileError", "none.mcap"),
+        (("replay", "log.csv"), 2, "UsageError", "--columns"),
         (("replay", "none.mcap", "--start", "soon"), 2, "UsageError", "--start"),
         (("replay", "none.mcap", "--name", "a/b"), 2, "UsageError", "--name"),
         (("replay",), 2, "UsageError", "FILE"),
-        (("convert", "none.mcap", "--to", "csv"), 1, "RecordingError", "none.mcap"),
-        (("recover", "none.mcap"), 1, "RecordingError", "none.mcap"),
+        (("convert", "none.mcap", "--to", "csv"), 1, "InputFileError", "none.mcap"),
+        (("recover", "none.mcap"), 1, "InputFileError", "none.mcap"),
         (("record", "--name", "json-none", "--out", "none.mcap"), 1, "NotRunningError", "json-none"),
         (("benchmark", "--methods", ""), 2, "UsageError", "--methods"),
         (("benchmark", "--seeds", "5:5"), 2, "UsageError", "--seeds"),
-        (("map", "info", "none.map"), 1, "FaultError", "none.map"),
-        (("scan", "check", "none.path"), 1, "FaultError", "none.path"),
+        (("map", "info", "none.map"), 1, "InputFileError", "none.map"),
+        (("scan", "check", "none.path"), 1, "InputFileError", "none.path"),
         (("blocks", "show", "json.none"), 1, "NotRunningError", "json.none"),
         (("arbiter", "status", "--name", "json-none"), 1, "NotRunningError", "json-none"),
         (("no-such-verb",), 2, "UsageError", "no-such-verb"),
@@ -40,6 +40,7 @@ def test_an_error_is_one_object(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], code: int, kind: str, says: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    Path("log.csv").touch()
     done = CliRunner().invoke(cli, [*words, "--json"])
     (line,) = done.stdout.splitlines()
     found = json.loads(line)
@@ -65,7 +66,7 @@ def test_a_process_without_memory_gives_an_object_and_one_line(
 
     monkeypatch.setattr("surffollow.record.replay.replay_file", fail)
     with pytest.raises(SystemExit) as end:
-        main(["replay", "none.mcap", "--json"])
+        main(["replay", __file__, "--json"])
     out, err = capsys.readouterr()
     assert end.value.code == 1
     assert "ulimit -v" in json.loads(out)["error"]
@@ -82,7 +83,7 @@ def test_an_error_that_no_command_expects_is_named_a_fault_of_ours_with_its_trac
 
     monkeypatch.setattr("surffollow.record.replay.replay_file", fail)
     with pytest.raises(SystemExit) as end:
-        main(["replay", "none.mcap", *(["--json"] if as_json else [])])
+        main(["replay", __file__, *(["--json"] if as_json else [])])
     out, err = capsys.readouterr()
     assert end.value.code == 1
     assert err.startswith("Traceback")

@@ -21,7 +21,7 @@ from surffollow.config.service import (
     parse_config,
     seconds,
 )
-from surffollow.errors import ConfigError, InvalidNameError, MapFileError, RegionError
+from surffollow.errors import ConfigError, InputFileError, InvalidNameError, MapFileError, RegionError
 from surffollow.hw.registry import make_driver
 from surffollow.service.initialise import initialise_constants
 from surffollow.shm.dtypes import zeros
@@ -139,13 +139,13 @@ def test_a_mistake_is_reported_with_its_key(data, says):
 
 
 def test_a_file_that_cannot_be_read_or_is_no_toml_is_named(tmp_path):
-    with pytest.raises(ConfigError, match=r"missing\.toml: No such file"):
+    with pytest.raises(InputFileError, match=r"missing\.toml: No such file"):
         load_config(tmp_path / "missing.toml")
     bad = tmp_path / "bad.toml"
     bad.write_text("period = = 3")
     with pytest.raises(ConfigError, match=r"bad\.toml is not TOML"):
         load_config(bad)
-    with pytest.raises(ConfigError, match="Is a directory"):
+    with pytest.raises(InputFileError, match="Is a directory"):
         load_config(tmp_path)
 
 
@@ -172,7 +172,7 @@ def test_a_byte_order_mark_is_no_fault(tmp_path):
 
 def test_a_pipe_without_a_writer_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "a.toml")
-    with pytest.raises(ConfigError, match=r"cannot read configuration .*a\.toml: it is a pipe out of which"):
+    with pytest.raises(InputFileError, match=r"configuration .*a\.toml: it is a pipe out of which nothing"):
         load_config(tmp_path / "a.toml")
 
 

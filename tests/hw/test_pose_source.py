@@ -15,6 +15,7 @@ from surffollow.hw.driver import ConversionQueue, PoseQueue, reports_of
 from surffollow.hw.fault_injection import FaultyDriver
 from surffollow.hw.fault_schedule import FaultConfig
 from surffollow.hw.registry import make_driver
+from surffollow.hw.simulation.ground_check import OTHER_GROUND, GroundCheck
 from surffollow.hw.simulation.led_config import LedConfig
 from surffollow.hw.simulation.pose_history import PoseHistory, add_report, pose_at
 from surffollow.hw.simulation.sensor_rig import SimulatedConfig
@@ -116,6 +117,44 @@ def test_a_world_block_comes_before_reports_and_reports_come_back_when_its_write
         return r.reads(0.12)
 
     until(reported, "a range from reports")
+
+
+def test_a_robot_over_another_ground_is_noted_until_another_robot_comes(
+    start_driver: Callable[[str], RunningDriver], name: str
+) -> None:
+    r = start_driver("auto")
+    writer, record = WorldWriter(name), zeros(WorldPose)
+
+    def noted(ground_m: float) -> bool:
+        # tilted by 0.2 rad about y: the ground is that under the tool's axis, to the left of the tool
+        record["t_ns"], record["standoff_m"], record["ground_m"] = time.monotonic_ns(), 0.08, ground_m
+        record["pose"] = [0.05, 0.05, 0.08, 0.0, math.sin(0.1), 0.0, math.cos(0.1)]
+        writer.write(record)
+        return any(OTHER_GROUND in n for n in r.driver.notes())
+
+    until(lambda: noted(-0.0012), "the note")  # the window is 101.6 mm long
+    note = r.driver.notes()[-1]
+    x_m = 0.05 - 0.08 * math.sin(0.2)
+    says = (
+        f"another ground than the simulated sensor sees: 1.2 mm apart at x {x_m:.3f} m, y 0.050 m. Give both"
+    )
+    assert says in note
+    writer.close()
+    # WHEN another robot knows no ground, or the same one but for its grid THEN there is no note
+    writer = WorldWriter(name)
+    until(lambda: not noted(math.nan), "the end of the note")
+    assert not noted(0.0009)
+    writer.close()
+
+
+def test_grounds_that_differ_by_less_than_their_grids_do_are_one() -> None:
+    check, record = GroundCheck(FLAT, 0.1), zeros(WorldPose)
+    record["pose"], record["standoff_m"], record["ground_m"] = pose(0.1), 0.1, 0.0009
+    check.look(record, 1)
+    assert check.note == ""
+    record["ground_m"] = 0.0011
+    check.look(record, 1)
+    assert "1.1 mm apart at x 0.050 m, y 0.050 m" in check.note
 
 
 def test_a_silent_writer_keeps_the_block_for_a_stopped_robot_is_no_reason_to_use_reports(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from csv_logs import EXAMPLES, HEADER, PLAIN, log_of, plain
-from surffollow.errors import UsageError
+from surffollow.errors import InputFileError, UsageError
 from surffollow.record.columns import load_columns, parse_columns
 from surffollow.record.csv_log import read_csv
 from surffollow.record.csv_replay import target_points
@@ -199,10 +199,10 @@ def test_a_log_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
 
 def test_a_pipe_without_a_writer_is_no_log(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "log.csv")
-    with pytest.raises(UsageError, match=r"log\.csv: it is a pipe out of which nothing comes"):
+    with pytest.raises(InputFileError, match=r"log\.csv: it is a pipe out of which nothing comes"):
         read_csv(tmp_path / "log.csv", plain())
 
 
 def test_a_device_is_no_log() -> None:
-    with pytest.raises(UsageError, match="cannot read log /dev/zero: it is a device"):
+    with pytest.raises(InputFileError, match="cannot read log /dev/zero: it is a device"):
         read_csv("/dev/zero", plain())

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from csv_logs import EXAMPLES, HEADER, ROOT, log_of, plain
 from surffollow.cli.csv_replay import csv_text
 from surffollow.cli.replay import replay_command
-from surffollow.errors import UsageError
+from surffollow.errors import InputFileError, UsageError
 from surffollow.map import HeightMap
 from surffollow.record.columns import Columns, load_columns
 from surffollow.record.csv_log import CsvLog, read_csv
@@ -233,7 +233,7 @@ def test_the_command_prints_json_and_says_when_columns_are_missing(tmp_path: Pat
     assert "no change" in people.output
     with pytest.raises(UsageError, match="--columns"):
         CliRunner().invoke(replay_command, [file], catch_exceptions=False)
-    with pytest.raises(UsageError, match="cannot read log"):
+    with pytest.raises(InputFileError, match=r"cannot read 'absent\.csv'"):
         CliRunner().invoke(replay_command, ["absent.csv", *options], catch_exceptions=False)
 
 

@@ -315,7 +315,9 @@ def test_a_pipe_is_no_recording_and_is_not_waited_for(
     monkeypatch.setattr(replay_module, "warm_up", lambda: pytest.fail("kernels were compiled for nothing"))
     os.mkfifo(tmp_path / "run.mcap")
     done = CliRunner().invoke(plot_command, [str(tmp_path / "run.mcap")])
-    with pytest.raises(RecordingError, match="is no plain file"):
+    with pytest.raises(RecordingError, match="is a pipe, no plain file"):
         raise done.exception or AssertionError(done.output)
-    with pytest.raises(RecordingError, match="is a pipe; write what comes out of it to a file first"):
+    with pytest.raises(
+        RecordingError, match="is a pipe, no plain file; write what comes out of it to a file first"
+    ):
         replay_file(tmp_path / "run.mcap")

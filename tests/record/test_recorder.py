@@ -8,12 +8,14 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 from surffollow.errors import FaultError, LayoutMismatchError
+from surffollow.record import writer as writer_module
 from surffollow.record.format import BATCH_CYCLES, SCHEMA_ENCODING, TOPIC
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
@@ -262,6 +264,35 @@ def test_a_file_of_a_mark_alone_is_no_recording(tmp_path: Path) -> None:
     disk.room = 20
     with pytest.raises(FaultError, match="ends after 8 bytes: the disk is full; nothing was recorded"):
         RecordingWriter(tmp_path / "a.mcap", stream=disk)
+
+
+class FullFile(io.FileIO):
+    """A file on a disk that has room for so many bytes."""
+
+    def __init__(self, path: str, mode: str, room: int) -> None:
+        super().__init__(path, mode)
+        self._room = room
+
+    def write(self, data: Any) -> int:
+        if self._room == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written = super().write(bytes(data)[: self._room])
+        self._room -= written
+        return written
+
+
+@pytest.mark.parametrize("room", [0, 20])
+def test_where_nothing_was_recorded_no_file_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    """The file kept its name from the next recording."""
+    path = tmp_path / "a.mcap"
+    with monkeypatch.context() as full:
+        full.setattr(writer_module, "_opened", lambda path, force: FullFile(path, "wb", room))
+        with pytest.raises(FaultError, match="the disk is full; nothing was recorded"):
+            RecordingWriter(path)
+    assert not path.exists()
+    RecordingWriter(path).close()
 
 
 def test_a_limit_of_the_size_of_what_is_made_of_a_recording_names_no_option_of_record(tmp_path: Path) -> None:

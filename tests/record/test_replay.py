@@ -273,7 +273,7 @@ def test_alien_files_are_refused_with_their_names(tmp_path: Path) -> None:
         replay_file(path)
     with pytest.raises(RecordingError, match="cannot read"):
         replay_file(tmp_path / "absent.mcap")
-    with pytest.raises(RecordingError, match="cannot read"):
+    with pytest.raises(RecordingError, match="is a folder"):
         replay_file(tmp_path)
 
 

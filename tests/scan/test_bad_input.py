@@ -251,3 +251,27 @@ def test_files_of_cameras_and_stations_are_read_as_configurations_are(text, says
     for read in (read_stations, lambda cameras: read_images([tmp_path / "a.npz"], cameras)):
         with pytest.raises(ScanFileError, match=rf"(a\.toml|a\.npz) {says}"):
             read(file)
+
+
+@pytest.mark.parametrize("far_m", [1.1e9, 1e308])
+def test_places_beyond_those_of_a_pose_are_refused_by_name(far_m, tmp_path):
+    """Sums of them are infinite: they ended in tracebacks, and in warnings of NumPy."""
+    cloud, spots, stations = tmp_path / "a.ply", tmp_path / "spots.csv", tmp_path / "stations.toml"
+    axes = "".join(f"property float64 {a}\n" for a in "xyz")
+    cloud.write_text(f"ply\nformat ascii 1.0\nelement vertex 2\n{axes}end_header\n0 0 0\n0 {-far_m} 0\n")
+    with pytest.raises(ScanFileError, match=rf"a\.ply has a coordinate of -{far_m:g} m".replace("+", r"\+")):
+        read_cloud(cloud)
+    spots.write_text(f"x_m,y_m,correction_m\n0,0,0.001\n{far_m},0,0.001\n0,1,0.001\n")
+    with pytest.raises(ScanInputError, match="the list of spots has a coordinate"):
+        CalibrationMatrix.fit(read_spots(spots), grid_m=0.1)
+    stations.write_text(f'[stations."a.npz"]\nx_m = {far_m}\ny_m = 0.0\n')
+    with pytest.raises(ScanInputError, match=r"station a\.npz, has a coordinate"):
+        read_stations(stations)
+    matrix = np.eye(4)
+    matrix[0, 3] = far_m
+    with pytest.raises(ScanInputError, match="ground_from_camera has a coordinate"):
+        Camera(500.0, 500.0, 20.0, 20.0, ground_from_camera=matrix)
+    with pytest.raises(ScanInputError, match="none of the 2 points is finite and at most 1e"):
+        terrain_map([[far_m, 0.0, 0.0], [0.0, 0.0, far_m]], 0.1)
+    near = [[x, y, 0.0] for x in (0.0, 0.1, 0.2) for y in (0.0, 0.1, 0.2)]
+    assert terrain_map([*near, [far_m, 0.0, 0.0]], 0.1).shape == terrain_map(near, 0.1).shape

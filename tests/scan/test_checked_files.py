@@ -293,3 +293,40 @@ def test_a_path_with_two_columns_of_one_name_is_refused_by_check_and_run(tmp_pat
     for read in (read_path, lambda f: findings_of(ground, f)):
         with pytest.raises(ScanFileError, match="two columns are called z_m"):
             read(file)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("column", ["pass", "flags"])
+@pytest.mark.parametrize("value", ["1e308", "nan", "0.5", "-1e12", "4294967296"])
+def test_a_pass_or_flags_that_no_integer_holds_are_refused_without_a_warning(tmp_path, column, value):
+    _, file = plan_of(tmp_path, ground_of(5, 120))
+    comments, names, rows = table_of(file)
+    rows[0][names.index(column)] = value
+    write_table(file, comments, names, rows)
+    with pytest.raises(ScanFileError, match="a pass or flags that are no whole numbers"):
+        read_path(file)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("column", ["azimuth_rad", "nx", "qw"])
+@pytest.mark.parametrize("value", ["inf", "1e308"])
+def test_an_attitude_that_is_none_is_refused_without_a_warning(tmp_path, column, value):
+    _, file = plan_of(tmp_path, ground_of(5, 120))
+    comments, names, rows = table_of(file)
+    rows[3][names.index(column)] = value
+    write_table(file, comments, names, rows)
+    with pytest.raises(ScanFileError, match="row 4: the quaternion and the attitude"):
+        read_path(file)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_body_whose_squares_overflow_is_refused_by_check_and_run(tmp_path):
+    ground = ground_of(5, 120)
+    _, file = plan_of(tmp_path, ground)
+    comments, names, rows = table_of(file)
+    at = next(k for k, line in enumerate(comments) if line.startswith("# body_m"))
+    comments[at] = "# body_m = [[0.0, 0.0, 0.0], [0.1, 0.0, 1e308]]"
+    write_table(file, comments, names, rows)
+    for read in (lambda: findings_of(ground, file), lambda: read_path(file)):
+        with pytest.raises(ScanFileError, match=r"the fact body_m is .*1e.308.* finite .*at most 1e.09"):
+            read()

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from surffollow.cli.doctor import doctor_command, latency_command, render
 from surffollow.client.histogram_report import percentile_ns
-from surffollow.errors import UsageError
+from surffollow.errors import InputFileError, UsageError
 from surffollow.service import doctor, doctor_clock, doctor_host
 from surffollow.service.doctor_latency import Lateness, measure_lateness, parse_cyclictest
 from surffollow.service.doctor_unit import examine_unit
@@ -336,7 +336,7 @@ def test_an_absent_program_has_its_own_reason_and_remedy(monkeypatch, code, said
 
 
 def test_a_unit_file_that_is_not_there_and_a_machine_without_systemd(tmp_path, monkeypatch):
-    with pytest.raises(UsageError, match=r"no unit file.*surffollow/systemd/surffollow\.service"):
+    with pytest.raises(InputFileError, match=r"no unit file.*surffollow/systemd/surffollow\.service"):
         examine_unit(tmp_path / "none.service")
     monkeypatch.setattr("surffollow.service.doctor_unit.shutil.which", lambda _: None)
     assert {f.state for f in examine_unit(UNIT)} == {"unknown"}

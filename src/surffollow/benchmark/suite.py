@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -71,7 +72,7 @@ def is_file(surface: str) -> bool:
         and surface not in RANDOM
         and surface not in FAMILY_SURFACES
         and surface not in MEASURED
-        and Path(surface).is_file()
+        and os.path.isfile(surface)
     )
 
 
@@ -82,12 +83,14 @@ def surface_profile(surface: str, seed: int) -> Profile:
     Raises
     ------
     UsageError
-        for a name that is neither a surface nor a readable file
+        for a name that is neither a surface nor a file
+    InputFileError
+        the file cannot be read
     """
     for known in (SHAPES, RANDOM, FAMILY_SURFACES, MEASURED):
         if surface in known:
             return known[surface](seed)
-    if not is_file(surface):
+    if Path(surface).suffix.lower() != ".csv" and not os.path.exists(surface):
         raise UsageError(
             f"no surface '{surface}'; there are {', '.join(surface_names())}, or give a CSV file"
         )

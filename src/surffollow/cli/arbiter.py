@@ -12,7 +12,7 @@ import click
 from surffollow.cli.arbiter_acknowledge import acknowledge_command
 from surffollow.cli.arbiter_stop import stop_command
 from surffollow.cli.old_names import old_name
-from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, InputFile
 
 STARTING = 3  # exit code, as of `surffollow status`
 _WAITS = {
@@ -28,7 +28,7 @@ def arbiter_group() -> None:
 
 
 @arbiter_group.command("start")
-@click.argument("config_path", metavar="CONFIG.toml", type=click.Path(dir_okay=False))
+@click.argument("config_path", metavar="CONFIG.toml", type=InputFile(streams=True))
 @click.option("--name", type=SERVICE_NAME, help="Name of the arbiter [the configuration's].")
 @click.option("--quiet", is_flag=True, help="Print only READY and errors.")
 def start_command(config_path: str, name: str | None, quiet: bool) -> None:

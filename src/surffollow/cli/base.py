@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from surffollow.cli.json_values import without_nan
-from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, OutputFile
+from surffollow.cli.progress import shows_compiling
 
 CLIENTS = ("avoid", "follow-wall", "follow-wall-2", "go")
 EXPERIMENTS = ("paper", "1", "1-pair", "2")
@@ -33,7 +34,7 @@ EXPERIMENTS = ("paper", "1", "1-pair", "2")
     show_default=True,
     help="x [m], y [m] and heading [rad] in the room.",
 )
-@click.option("--log", type=click.Path(dir_okay=False), help="Write the true motion to this CSV file.")
+@click.option("--log", type=OutputFile(), help="Write the true motion to this CSV file.")
 @JSON
 def base_command(
     name: str, seconds: float, seed: int, start: tuple[float, float, float], log: str | None, as_json: bool
@@ -124,8 +125,9 @@ def seeds_of(ctx: click.Context, param: click.Parameter, value: str) -> range:
     show_default=True,
     help="Duration of the motion with --processes [s].",
 )
-@click.option("--plot", type=click.Path(dir_okay=False), help="Draw the first seed's run: PNG, SVG or PDF.")
+@click.option("--plot", type=OutputFile(), help="Draw the first seed's run: PNG, SVG or PDF.")
 @JSON
+@shows_compiling
 def wall_follow_command(
     experiment: str, laps: int, seeds: range, processes: bool, seconds: float, plot: str | None, as_json: bool
 ) -> None:
@@ -178,19 +180,21 @@ def median_of(runs: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def line_of(f: dict[str, Any]) -> str:
-    """The figures in one line; "-" for figures that the run was too short for."""
+    """The figures in one line; figures that the run was too short for say where they begin."""
     import math
 
-    def shown(value: float, form: str, unit: str) -> str:
-        return "-" if math.isnan(value) else format(value, form) + unit
-
+    along = "distance and heading to the wall only from two turns on"
+    if not math.isnan(f["distance_rms_m"]):
+        along = (
+            f"distance RMS {1e3 * f['distance_rms_m']:.0f} mm, "
+            f"off the wall by {math.degrees(f['heading_rms_rad']):.2f}° RMS"
+        )
     repeatability = math.degrees(f["heading_repeatability_rad"])
     repeats = "heading repeatability only from two laps on"
     if not math.isnan(repeatability):
         repeats = f"heading repeats within {repeatability:.2f}°"
     return (
-        f"distance RMS {shown(1e3 * f['distance_rms_m'], '.0f', ' mm')}, {repeats}, off the wall by "
-        f"{shown(math.degrees(f['heading_rms_rad']), '.2f', '°')} RMS, "
-        f"least gap {1e3 * f['least_gap_m']:.0f} mm, {f['contacts']:.0f} contacts of {f['contact_s']:.1f} s, "
+        f"{along}, {repeats}, least gap {1e3 * f['least_gap_m']:.0f} mm, "
+        f"{f['contacts']:.0f} contacts of {f['contact_s']:.1f} s, "
         f"{f['laps']:.2f} laps in {f['seconds']:.0f} s"
     )

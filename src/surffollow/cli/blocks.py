@@ -11,7 +11,7 @@ import click
 
 from surffollow.cli.json_values import without_nan
 from surffollow.cli.old_names import old_name
-from surffollow.cli.option_types import JSON, Finite
+from surffollow.cli.option_types import JSON, Finite, OutputFile
 from surffollow.errors import escaped
 from surffollow.units import numbers_text
 
@@ -192,7 +192,7 @@ def _flat(value: Any) -> str:
 
 @blocks_group.command("record")
 @click.argument("blocks", nargs=-1, required=True, metavar="BLOCK...")
-@click.option("--out", type=click.Path(dir_okay=False), required=True, help="MCAP file to write.")
+@click.option("--out", type=OutputFile(), required=True, help="MCAP file to write.")
 @_every_option(0.005, "Seconds between looks; what is published in between is missed, and counted.")
 @click.option("--seconds", type=Finite(min=0.0), default=None, help="Stop after this long.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")

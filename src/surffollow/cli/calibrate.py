@@ -8,12 +8,12 @@ from typing import Any
 
 import click
 
-from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, InputFile
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, InputFile, OutputFile
 
-FILE = InputFile(Path)
+FILE = InputFile(Path, streams=True)
 OUT = click.option(
     "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OutputFile(Path),
     required=True,
     help="Calibration file; what it holds of other kinds or channels stays.",
 )
@@ -64,7 +64,7 @@ def print_result(as_json: bool, found: dict[str, Any], text: str) -> None:
     "--indicated-unit",
     help="Unit of the column indicated in PAIRS, where it is a distance.  [default: the driver's, m or V]",
 )
-@click.option("--plot", type=click.Path(dir_okay=False), help="Draw table and residuals (extra plot).")
+@click.option("--plot", type=OutputFile(), help="Draw table and residuals (extra plot).")
 @CHANNEL
 @OUT
 @JSON
@@ -123,8 +123,9 @@ def range_command(
         }
     }
     save_calibration(out, merged(out, tables=(fit.table,), about=about))
+    driver_unit = "m" if indicated_unit else "m or V"
     if plot:
-        draw_fit(plot, indicated, true_m, fit, "m" if indicated_unit else "m or V")
+        draw_fit(plot, indicated, true_m, fit, driver_unit)
     worst_m = max(map(abs, fit.residuals_m), default=0.0)
     inner = np.unique(indicated)[1:-1]
     worst_at = float(inner[int(np.argmax(np.abs(fit.residuals_m)))])
@@ -138,8 +139,8 @@ def range_command(
             "notes": notes,
         },
         f"{fit.method} through {len(indicated)} pairs; each pair against the curve without it: RMS "
-        f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm at {worst_at:.6g}; wrote {out}"
-        + "".join(f"\nnote: {note}" for note in notes),
+        f"{1e3 * fit.rms_m:.3g} mm, worst {1e3 * worst_m:.3g} mm where {worst_at:.6g} {driver_unit} is "
+        f"indicated; wrote {out}" + "".join(f"\nnote: {note}" for note in notes),
     )
 
 

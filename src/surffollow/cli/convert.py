@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import click
 
-from surffollow.cli.option_types import JSON, rate_option
+from surffollow.cli.option_types import JSON, InputFile, OutputFile, rate_option
+from surffollow.cli.progress import shows_compiling
 
 
 def report_damage(damage: Sequence[str]) -> None:
@@ -18,7 +19,7 @@ def report_damage(damage: Sequence[str]) -> None:
 
 
 @click.command("convert")
-@click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
+@click.argument("files", nargs=-1, required=True, type=InputFile(), metavar="FILE...")
 @click.option(
     "--to",
     type=click.Choice(["foxglove", "csv", "parquet"]),
@@ -27,13 +28,14 @@ def report_damage(damage: Sequence[str]) -> None:
 )
 @click.option(
     "--out",
-    type=click.Path(dir_okay=False),
+    type=OutputFile(),
     default=None,
     help="File to write.  [default: FILE with .foxglove.mcap, .csv or .parquet]",
 )
 @rate_option("Samples per second; 0: every cycle.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @JSON
+@shows_compiling
 def convert_command(
     files: tuple[str, ...], to: str, out: str | None, rate: float, force: bool, as_json: bool
 ) -> None:
@@ -65,10 +67,10 @@ def convert_command(
 
 
 @click.command("recover")
-@click.argument("file", type=click.Path())
+@click.argument("file", type=InputFile())
 @click.option(
     "--out",
-    type=click.Path(dir_okay=False),
+    type=OutputFile(),
     default=None,
     help="File to write.  [default: FILE-recovered.mcap]",
 )

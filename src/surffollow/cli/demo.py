@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from surffollow.cli.option_types import Finite
+from surffollow.cli.option_types import Finite, OutputFile, OutputFolder
 from surffollow.cli.service import check_address_space
 from surffollow.cli.simulate import LENGTH, SPEED
 
@@ -44,14 +44,12 @@ def _speed(ctx: click.Context, param: click.Parameter, value: str | None) -> flo
 )
 @click.option(
     "--picture",
-    type=click.Path(dir_okay=False),
+    type=OutputFile(),
     default="surffollow-demo.png",
     show_default=True,
     help="Picture to draw (extra `plot`).",
 )
-@click.option(
-    "--keep", type=click.Path(file_okay=False), help="Keep recording, trace and map in this folder."
-)
+@click.option("--keep", type=OutputFolder(), help="Keep recording, trace and map in this folder.")
 @click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object; draw only if --picture is given."
 )

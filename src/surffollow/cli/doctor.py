@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from surffollow.cli.option_types import JSON, Finite
+from surffollow.cli.progress import shows_compiling
 from surffollow.errors import UsageError
 
 _MARKS = {"good": "ok", "fair": "fair", "lacking": "LACKS", "unknown": "?"}
@@ -19,7 +20,7 @@ _BAR = 50
 @click.command("doctor")
 @JSON
 @click.option(
-    "--unit", type=click.Path(dir_okay=False), help="Check this systemd unit file instead of the machine."
+    "--unit", type=click.Path(), metavar="FILE", help="Check this systemd unit file instead of the machine."
 )
 def doctor_command(as_json: bool, unit: str | None) -> None:
     """Say what this machine lacks for hard timing, why it matters and how to get it. Changes nothing.
@@ -108,6 +109,7 @@ def _duration(low_s: float, high_s: float) -> Callable[[click.Context, click.Par
 )
 @click.option("--cyclictest/--no-cyclictest", "beside", default=True, help="Run cyclictest in between.")
 @JSON
+@shows_compiling
 def latency_command(
     seconds: float,
     period: int,

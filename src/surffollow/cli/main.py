@@ -71,6 +71,13 @@ AS_JSON = "surffollow.json"  # of a context: whether --json was given
 class LazyGroup(click.Group):
     """A group that imports a verb's module when the verb is used; with --json an error is an object, too."""
 
+    def make_context(self, *words: Any, **extra: Any) -> click.Context:
+        """Read the options; an interrupt meanwhile is no `Abort`, whose exit code is 1."""
+        try:
+            return super().make_context(*words, **extra)
+        except KeyboardInterrupt:
+            raise click.exceptions.Exit(128 + signal.SIGINT) from None
+
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         ctx.meta[AS_JSON] = "--json" in (args[: args.index("--")] if "--" in args else args)
         return super().parse_args(ctx, args)

@@ -12,14 +12,14 @@ from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.facts import print_facts
 from surffollow.cli.map_facts import map_facts
 from surffollow.cli.map_live import install_command, reset_command, upload_command
-from surffollow.cli.option_types import JSON, LENGTH, InputFile, SignedArguments
+from surffollow.cli.option_types import JSON, LENGTH, InputFile, OutputFile, SignedArguments
 from surffollow.cli.progress import progress_bar
 from surffollow.errors import UsageError
 
 if TYPE_CHECKING:
     from surffollow.map import HeightMap
 
-_FILE = click.Path(dir_okay=False)
+_FILE = OutputFile()
 _EXISTING = InputFile()
 _SHADES = " .:-=+*#%@"
 

@@ -7,7 +7,15 @@ import click
 from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.facts import print_facts
 from surffollow.cli.map_facts import map_facts
-from surffollow.cli.option_types import JSON, LENGTH, SERVICE_NAME, Finite, InputFile, SignedArguments
+from surffollow.cli.option_types import (
+    JSON,
+    LENGTH,
+    SERVICE_NAME,
+    Finite,
+    InputFile,
+    OutputFile,
+    SignedArguments,
+)
 from surffollow.cli.progress import progress_bar
 
 _NAME = click.option(
@@ -24,7 +32,7 @@ _TIMEOUT = click.option(
 
 
 @click.command("upload")
-@click.argument("file", type=click.Path(dir_okay=False))
+@click.argument("file", type=OutputFile())
 @_NAME
 @_TIMEOUT
 @JSON

@@ -29,18 +29,60 @@ class ServiceName(click.ParamType):  # type: ignore[type-arg]  # generic only in
 
 
 class InputFile(click.Path):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
-    """A file to read. One that is not there is a fault (exit code 1) and no wrong usage."""
+    """A file to read. One that is not there, or is none, is a fault (exit code 1) and no wrong usage.
 
-    def __init__(self, path_type: type | None = None) -> None:
-        super().__init__(exists=True, dir_okay=False, path_type=path_type)
+    `streams` : pipes and devices may be read, too.
+    """
+
+    def __init__(self, path_type: type | None = None, *, streams: bool = False) -> None:
+        super().__init__(dir_okay=False, readable=False, path_type=path_type)
+        self._streams = streams
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path, or fail with what it is."""
+        """The path; raises InputFileError."""
+        from surffollow.config.input_file import check_plain_file
+        from surffollow.errors import InputFileError
+
+        try:
+            os.stat(value)
+            reason = None if os.access(value, os.R_OK) else os.strerror(errno.EACCES)
+        except OSError as error:
+            reason = error.strerror
+        if reason is not None:
+            raise InputFileError(f"cannot read {os.fspath(value)!r}: {reason}")
+        if not self._streams or os.path.isdir(value):
+            check_plain_file(value)
+        return self.coerce_path_result(value)
+
+
+class OutputFile(click.Path):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A file to write. A folder in its place is a fault (exit code 1) and no wrong usage."""
+
+    def __init__(self, path_type: type | None = None) -> None:
+        super().__init__(dir_okay=False, path_type=path_type)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; raises FaultError."""
         from surffollow.errors import FaultError
 
-        if not os.path.lexists(value):
-            raise FaultError(f"cannot read {os.fspath(value)!r}: {os.strerror(errno.ENOENT)}")
-        return super().convert(value, param, ctx)
+        if os.path.isdir(value):
+            raise FaultError(f"cannot write {value}: it is a folder; choose another name")
+        return self.coerce_path_result(value)
+
+
+class OutputFolder(click.Path):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
+    """A folder to write into. A file in its place is a fault (exit code 1) and no wrong usage."""
+
+    def __init__(self, path_type: type | None = None) -> None:
+        super().__init__(file_okay=False, path_type=path_type)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; raises FaultError."""
+        from surffollow.errors import FaultError
+
+        if os.path.exists(value) and not os.path.isdir(value):
+            raise FaultError(f"cannot write into {value}: it is no folder; choose another name")
+        return self.coerce_path_result(value)
 
 
 class SignedArguments(click.Command):
@@ -123,6 +165,9 @@ def rate_option(text: str) -> Callable[[Any], Any]:
     return click.option("--rate", type=kind, default=100.0, show_default=True, help=text)
 
 
+COLUMNS = click.option(
+    "--columns", type=InputFile(streams=True), help="FILE is a CSV log: what its columns mean (TOML)."
+)
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 SERVICE_NAME = ServiceName()
 LENGTH = Quantity("LENGTH", "m")

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import click
 
-from surffollow.cli.option_types import JSON, Finite
+from surffollow.cli.option_types import COLUMNS, JSON, Finite, InputFile, OutputFile
+from surffollow.cli.progress import shows_compiling
 
 
 @click.command("plot")
-@click.argument("file", type=click.Path())
+@click.argument("file", type=InputFile(streams=True))
 @click.option(
     "--out",
-    type=click.Path(dir_okay=False),
+    type=OutputFile(),
     default=None,
     help="Figure to write: .png, .svg or .pdf.  [default: FILE with .png]",
 )
-@click.option("--columns", type=click.Path(), help="FILE is a CSV log: what its columns mean (TOML).")
+@COLUMNS
 @click.option("--start", type=Finite(), help="CSV: first time, in seconds of the log.")
 @click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")
 @click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
 @JSON
+@shows_compiling
 def plot_command(
     file: str,
     out: str | None,
@@ -42,8 +43,6 @@ def plot_command(
     from surffollow.map.formats.atomic_file import check_not_read
     from surffollow.record.figure import check_figure
 
-    if os.path.isdir(file):
-        raise UsageError(f"{file} is a folder; give a recording, a CSV log or a map file")
     target = out or str(Path(file).with_suffix(".png"))
     check_figure(target)
     check_not_read(target, file, columns)
@@ -78,10 +77,10 @@ def plot_command(
 
 def _is_recording(file: str) -> bool:
     """Whether a file begins as recordings do, or calls itself one."""
+    from surffollow.config.input_file import check_plain_file
     from surffollow.errors import RecordingError
 
-    if os.path.exists(file) and not os.path.isfile(file):
-        raise RecordingError(f"{file} is no plain file; give a file that can be read to its end")
+    check_plain_file(file, RecordingError)
     try:
         with open(file, "rb") as f:
             return f.read(5) == b"\x89MCAP" or file.lower().endswith(".mcap")

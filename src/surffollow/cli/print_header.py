@@ -9,6 +9,8 @@ from pathlib import Path
 
 import click
 
+from surffollow.cli.option_types import OutputFolder
+
 HEADER = Path(__file__).parents[1] / "include" / "surffollow.h"
 HEADERS = (HEADER, HEADER.with_name("surffollow_arbiter.h"))
 
@@ -36,7 +38,7 @@ def pkg_config_text(includedir: str) -> str:
 @click.option(
     "--install",
     "prefix",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=OutputFolder(Path),
     help="Copy it and the arbiter's to PREFIX/include, and write PREFIX/lib/pkgconfig/surffollow.pc.",
 )
 def print_header_command(cflags: bool, pkg_config: bool, as_json: bool, prefix: Path | None) -> None:

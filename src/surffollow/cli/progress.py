@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import select
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
@@ -64,6 +66,56 @@ def progress_line() -> Iterator[Callable[[str], None] | None]:
         yield show
     finally:
         sys.stderr.write("\n")
+
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+COMPILING_AFTER_S = 0.5  # kernels of a usual run come out of the cache; a few small ones are compiled
+
+
+def shows_compiling(command: _Command) -> _Command:
+    """Show on a terminal that the function of a command compiles its kernels, which takes a minute once."""
+
+    @functools.wraps(command)
+    def shown(*words: Any, **options: Any) -> Any:
+        with compiling_line():
+            return command(*words, **options)
+
+    return shown  # type: ignore[return-value]
+
+
+@contextlib.contextmanager
+def compiling_line() -> Iterator[None]:
+    """A line on a terminal while kernels are compiled; it is cleared when that ends."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from numba.core import event
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        depth = count = 0
+        begin_s, shown = 0.0, False
+
+        def on_start(self, happened: Any) -> None:
+            now_s = time.monotonic()
+            self.begin_s = self.begin_s or now_s
+            self.depth, self.count = self.depth + 1, self.count + 1
+            if now_s - self.begin_s >= COMPILING_AFTER_S:
+                self.shown = True
+                took = f"{self.count} ({now_s - self.begin_s:.0f} s)"
+                self._write(f"\r\x1b[Ksurffollow: compiling kernels for this machine, once: {took}")
+
+        def on_end(self, happened: Any) -> None:
+            self.depth -= 1
+            if self.depth == 0 and self.shown:
+                self.shown = False
+                self._write("\r\x1b[K")
+
+        def _write(self, text: str) -> None:
+            sys.stderr.write(text)
+            sys.stderr.flush()
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
 
 
 class progress_bar:  # noqa: N801 - used like a function

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import click
 
-from surffollow.cli.option_types import DURATION, SERVICE_NAME, SIZE, Finite, rate_option
+from surffollow.cli.option_types import DURATION, SERVICE_NAME, SIZE, Finite, OutputFile, rate_option
 
 
 @click.command("record")
 @click.option("--name", type=SERVICE_NAME, default="surf", show_default=True, help="Service to record.")
-@click.option(
-    "--out", type=click.Path(dir_okay=False), default=None, help="File to write.  [default: NAME-TIME.mcap]"
-)
+@click.option("--out", type=OutputFile(), default=None, help="File to write.  [default: NAME-TIME.mcap]")
 @click.option(
     "--seconds",
     type=Finite(min=0.0),

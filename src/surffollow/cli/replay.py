@@ -7,34 +7,34 @@ import click
 from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.convert import report_damage
 from surffollow.cli.csv_replay import TABLES, output_suffix, replay_csv_command
-from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
+from surffollow.cli.option_types import COLUMNS, JSON, SERVICE_NAME, Finite, InputFile, OutputFile
+from surffollow.cli.progress import shows_compiling
 
 
 @click.command("replay")
-@click.argument("file", type=click.Path())
+@click.argument("file", type=InputFile(streams=True))
 @JSON
-@click.option("--columns", type=click.Path(), help="FILE is a CSV log: what its columns mean (TOML).")
+@COLUMNS
 @click.option("--start", type=Finite(), help="CSV: first time, in seconds of the log.")
 @click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")
 @click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
 @click.option(
     "--out",
-    type=click.Path(dir_okay=False),
+    type=OutputFile(),
     help="Write a table (.csv; of a recording also .parquet, 100 rows/s) or a figure (.png, .svg, .pdf).",
 )
-@click.option(
-    "--plot", type=click.Path(dir_okay=False), help="Draw a figure (.png, .svg, .pdf), as `plot` does."
-)
+@click.option("--plot", type=OutputFile(), help="Draw a figure (.png, .svg, .pdf), as `plot` does.")
 @click.option(
     "--map",
     "map_out",
-    type=click.Path(dir_okay=False),
+    type=OutputFile(),
     help="Also build the run's map again: where to; the suffix says how.",
 )
 @click.option(
     "--live", is_flag=True, help="Play the recording into a service started for it, at its own pace."
 )
 @click.option("--name", type=SERVICE_NAME, help="Name of that service.  [default: replay-PID]")
+@shows_compiling
 def replay_command(
     file: str,
     as_json: bool,

@@ -10,6 +10,7 @@ import click
 
 from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import JSON, POSITIVE_LENGTH
+from surffollow.cli.progress import shows_compiling
 from surffollow.cli.scan_options import EXISTING, OUT
 
 
@@ -40,6 +41,7 @@ from surffollow.cli.scan_options import EXISTING, OUT
 @click.option("--report", type=OUT, help="Write one HTML page with figures and picture (extra `plot`).")
 @click.option("--signal", type=OUT, help="Write the signal map as a GeoTIFF (extra `geo`).")
 @JSON
+@shows_compiling
 def demo_command(
     seed: int,
     seeds: int,

@@ -7,7 +7,7 @@ import click
 from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import JSON, LENGTH, POSITIVE_LENGTH
 from surffollow.cli.output_checks import check_outputs
-from surffollow.cli.progress import progress_bar
+from surffollow.cli.progress import progress_bar, shows_compiling
 from surffollow.cli.scan_options import EXISTING, OUT, PICTURE, REGION, check_picture
 from surffollow.errors import ScanInputError
 
@@ -49,6 +49,7 @@ from surffollow.errors import ScanInputError
 )
 @PICTURE
 @JSON
+@shows_compiling
 def map_command(
     depths: tuple[str, ...],
     output: str,
@@ -118,6 +119,7 @@ def map_command(
 @click.option("--fill", type=POSITIVE_LENGTH, help="Widest hole that is filled.  [default: 10 cells]")
 @PICTURE
 @JSON
+@shows_compiling
 def compose_command(
     stations: str,
     output: str,

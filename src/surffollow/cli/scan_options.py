@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from surffollow.cli.clipped_heights import warn_of_clipped
-from surffollow.cli.option_types import SERVICE_NAME, InputFile, Quantity
+from surffollow.cli.option_types import SERVICE_NAME, InputFile, OutputFile, Quantity
 from surffollow.errors import UsageError
 from surffollow.units import parse_quantity
 
@@ -16,23 +15,8 @@ if TYPE_CHECKING:
     from surffollow.scan.grid import TerrainGrid
     from surffollow.scan.path import ScanPath
 
-OUT = click.Path(dir_okay=False)
-
-
-class PlainFile(InputFile):
-    """A file to read; a pipe or a device, on which a reader waits for ever, is refused."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path, or fail with what it is."""
-        path = super().convert(value, param, ctx)
-        if not os.path.isfile(path):
-            self.fail(f"{value} is no plain file; give a file that can be read to its end", param, ctx)
-        return path
-
-
-EXISTING = PlainFile()
-
-
+OUT = OutputFile()
+EXISTING = InputFile()
 ANGLE, SPEED, ACCELERATION = (
     Quantity("ANGLE", "rad"),
     Quantity("SPEED", "m/s", above=0.0),

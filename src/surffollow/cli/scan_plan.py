@@ -10,6 +10,7 @@ import click
 from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import JSON, POSITIVE_LENGTH, Finite
 from surffollow.cli.output_checks import check_outputs
+from surffollow.cli.progress import shows_compiling
 from surffollow.cli.scan_options import (
     ACCELERATION,
     ANGLE,
@@ -100,6 +101,7 @@ REMEDIES = {
 @click.option("--fill", type=POSITIVE_LENGTH, help="Fill holes of the map up to this width first.")
 @PICTURE
 @JSON
+@shows_compiling
 def plan_command(
     map_file: str | None,
     live: str | None,
@@ -208,6 +210,7 @@ def plan_command(
     help="Greatest acceleration up and down [m/s²].  [default: that of the file, if it has one]",
 )
 @JSON
+@shows_compiling
 def check_command(
     files: tuple[str, ...], live: str | None, vertical_acceleration: float | None, as_json: bool
 ) -> None:

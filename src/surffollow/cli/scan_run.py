@@ -11,6 +11,7 @@ from surffollow.apps.ending_signals import ending_signals
 from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 from surffollow.cli.output_checks import check_outputs
+from surffollow.cli.progress import shows_compiling
 from surffollow.cli.scan_options import EXISTING, OUT, PICTURE, check_picture, check_step, gap_of, ground_of
 from surffollow.errors import NotRunningError, ScanInputError, UsageError
 
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
 @PICTURE
 @click.option("--report", type=OUT, help="Write one HTML page with figures and picture (extra `plot`).")
 @JSON
+@shows_compiling
 def run_command(
     path: str,
     name: str,

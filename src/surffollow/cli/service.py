@@ -9,8 +9,8 @@ import sys
 import click
 
 from surffollow.cli.ending import check_holder_is_here, end_process
-from surffollow.cli.entry import ended_at_once_by_interrupts
-from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
+from surffollow.cli.entry import EndedAtOnceByInterrupts
+from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, InputFile
 from surffollow.errors import FaultError
 
 LEAST_ADDRESS_SPACE = 700_000_000  # of a start with compiled kernels [bytes]: it works with 635 MB
@@ -41,7 +41,7 @@ def check_address_space() -> None:
 @click.option(
     "--config",
     "config_path",
-    type=click.Path(dir_okay=False),
+    type=InputFile(streams=True),
     help="TOML file; see docs/reference/configuration.md.",
 )
 @click.option("--name", type=SERVICE_NAME, help="Name of the service and its shared-memory objects [surf].")
@@ -55,7 +55,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
     SIGTERM, SIGHUP and Ctrl-C end it.
     """
     check_address_space()
-    with ended_at_once_by_interrupts():
+    with EndedAtOnceByInterrupts():
         from surffollow.service.messages import hold_standard_files
 
         hold_standard_files()
@@ -63,7 +63,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
 
         from surffollow.config.names import check_service_name
         from surffollow.config.service import ServiceConfig, load_config
-        from surffollow.errors import UsageError
+        from surffollow.errors import InputFileError, UsageError
         from surffollow.shm.trusted_folder import check_numba_settings
 
         config = load_config(config_path) if config_path else ServiceConfig()
@@ -81,7 +81,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
         serve(config, quiet)
     except KeyboardInterrupt:  # before the service had objects to tidy up
         sys.exit(130)
-    except UsageError as error:  # such as a region too large
+    except (InputFileError, UsageError) as error:  # no such calibration; a region too large
         if config_path is None or str(error).startswith(config_path):
             raise
         raise type(error)(f"{config_path}: {error}") from None

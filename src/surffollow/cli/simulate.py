@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surffollow.cli.main import one_object_is_printed
-from surffollow.cli.option_types import SERVICE_NAME, Finite
+from surffollow.cli.option_types import SERVICE_NAME, Finite, InputFile, OutputFile
+from surffollow.cli.progress import shows_compiling
 
 if TYPE_CHECKING:
     from surffollow.errors import ServiceError
@@ -81,7 +82,7 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 )
 @click.option("--lane", callback=LENGTH, default="20 mm", show_default=True, help="Distance of raster lanes.")
 @click.option("--standoff", callback=optional_length, help="Desired stand-off [the service's own].")
-@click.option("--plant", type=click.Path(dir_okay=False), help="TOML file with the vertical axis.")
+@click.option("--plant", type=InputFile(streams=True), help="TOML file with the vertical axis.")
 @click.option(
     "--latency", callback=TIME, default="10 ms", show_default=True, help="Delay of the pose reports."
 )
@@ -107,8 +108,9 @@ LENGTH, SPEED, TIME = quantity("m"), quantity("m/s"), quantity("s")
 @click.option("--reset-stop", is_flag=True, help="Reset a stop that is latched at the start.")
 @click.option("--arbiter", type=SERVICE_NAME, help="Obey this arbiter instead of the service itself.")
 @click.option("--resource", default="tool", show_default=True, help="With --arbiter: what to obey.")
-@click.option("--trace", type=click.Path(dir_okay=False), help="Write what happened, step by step (NPZ).")
+@click.option("--trace", type=OutputFile(), help="Write what happened, step by step (NPZ).")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+@shows_compiling
 def simulate_command(
     name: str,
     path: str,
@@ -237,6 +239,31 @@ class _StopSignals:
         return self._stopped
 
 
+class _GroundNote:
+    """Says once on stderr that the service's simulated sensor sees another ground."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self._said = name, False
+
+    def __call__(self) -> None:
+        """Look at the notes of the service."""
+        from surffollow.client import observe
+        from surffollow.errors import FaultError
+        from surffollow.hw.simulation.ground_check import OTHER_GROUND
+
+        if self._said:
+            return
+        try:
+            with observe(self._name) as service:
+                text = str(service.status()["main"].get("text", ""))
+        except FaultError:  # it is away; the robot attaches to it again
+            return
+        note = next((part for part in text.split("; ") if part.startswith(OTHER_GROUND)), "")
+        if note:
+            self._said = True
+            click.echo(f"surffollow: {note}", err=True)
+
+
 def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], Service]:
     from surffollow.client import attach
 
@@ -264,7 +291,9 @@ def _run(
         check_place(trace)
     try:
         with hardware_priority(), _StopSignals() as stopped:
-            core, summary = run_robot(config, name, attachment, stopped, wait_s, standstill, own_standoff)
+            core, summary = run_robot(
+                config, name, attachment, stopped, wait_s, standstill, own_standoff, _GroundNote(name)
+            )
     except RefusedError as refused:
         if own_standoff or "offset_m" not in str(refused):
             raise

@@ -1,4 +1,4 @@
-"""Read an input file of a command without waiting for a pipe that has no writer."""
+"""Read input files; nothing is waited for, and nothing without an end is read."""
 
 from __future__ import annotations
 
@@ -6,6 +6,42 @@ import contextlib
 import os
 import stat
 from pathlib import Path
+
+from surffollow.errors import FaultError, InputFileError
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder", "give a file"),
+    (stat.S_ISFIFO, "a pipe", "write what comes out of it to a file first"),
+    (stat.S_ISSOCK, "a socket", "give a file"),
+    (stat.S_ISCHR, "a device", "give a file"),
+    (stat.S_ISBLK, "a device", "give a file"),
+)
+
+
+def check_plain_file(path: str | os.PathLike[str], error: type[FaultError] = InputFileError) -> None:
+    """Refuse a folder, and pipes, sockets and devices, on which a reader may wait for ever.
+
+    A name that is not there is left to who opens it.
+
+    Parameters
+    ----------
+    path : path
+        the file to be read
+    error : subclass of FaultError
+        what is raised
+
+    Raises
+    ------
+    FaultError
+        `error`; it names what stands there
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return
+    for test, kind, remedy in _KINDS:
+        if test(mode):
+            raise error(f"{path} is {kind}, no plain file; {remedy}")
 
 
 def read_input(path: str | Path, most: int = -1, *, device: bool = True) -> bytes:

@@ -275,8 +275,10 @@ def load_config(path: str | Path) -> ServiceConfig:
 
     Raises
     ------
+    InputFileError
+        the file cannot be read
     ConfigError
-        the file cannot be read, is not TOML, or says something wrong
+        it is not TOML, or says something wrong
     """
     tables = read_toml(path, "configuration", ConfigError)
     if isinstance(tables.get("driver"), dict):

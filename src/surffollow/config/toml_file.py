@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from surffollow.config.input_file import read_input
-from surffollow.errors import SurffollowError
+from surffollow.errors import FaultError, InputFileError, SurffollowError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -28,12 +28,17 @@ def naming_source(source: str, error: type[SurffollowError]) -> Iterator[None]:
         raise type(e)(f"{source}: {e}") from None
 
 
-def read_small(path: str | Path, kind: str, error: type[SurffollowError]) -> bytes:
+def read_small(
+    path: str | Path,
+    kind: str,
+    error: type[SurffollowError],
+    unreadable: type[FaultError] = InputFileError,
+) -> bytes:
     """Content of a file that is never large, for which a device without end is taken otherwise.
 
     Parameters
     ----------
-    path, kind, error
+    path, kind, error, unreadable
         as for `read_toml`
 
     Returns
@@ -44,13 +49,18 @@ def read_small(path: str | Path, kind: str, error: type[SurffollowError]) -> byt
     try:
         data = read_input(path, MAX_BYTES + 1)  # of a pipe, too; a device may give bytes without end
     except OSError as e:
-        raise error(f"cannot read {kind} {path}: {e.strerror}") from None
+        raise unreadable(f"cannot read {kind} {path}: {e.strerror}") from None
     if len(data) > MAX_BYTES:
         raise error(f"{kind} {path} has more than {MAX_BYTES >> 20} MiB; it is no such file")
     return data
 
 
-def read_toml(path: str | Path, kind: str, error: type[SurffollowError]) -> dict[str, Any]:
+def read_toml(
+    path: str | Path,
+    kind: str,
+    error: type[SurffollowError],
+    unreadable: type[FaultError] = InputFileError,
+) -> dict[str, Any]:
     """Read a TOML file.
 
     Parameters
@@ -60,14 +70,16 @@ def read_toml(path: str | Path, kind: str, error: type[SurffollowError]) -> dict
     kind : str
         purpose of the file, for the text of an error: "configuration"
     error : subclass of SurffollowError
-        raised when the file cannot be read, or is not TOML
+        raised when the file is not TOML
+    unreadable : subclass of FaultError
+        raised when the file cannot be read
 
     Returns
     -------
     dict
         the tables, unchecked
     """
-    data = read_small(path, kind, error)
+    data = read_small(path, kind, error, unreadable)
     try:
         tables: dict[str, Any] = tomllib.loads(data.decode("utf-8-sig"))
     except RecursionError:

@@ -67,8 +67,10 @@ def load_calibration(path: str | Path) -> Calibration:
 
     Raises
     ------
+    InputFileError
+        it cannot be read
     ConfigError
-        it cannot be read, is of another version, or says something that cannot be
+        it is of another version, or says something that cannot be
     """
     data = read_small(path, "calibration", ConfigError)
     try:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.input_file import check_plain_file
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map.formats.atomic_file import FilePath, Progress, report
 from surffollow.map.formats.npz import read_npz, write_npz
@@ -114,8 +114,7 @@ def load(path: FilePath, *, progress: Progress | None = None) -> tuple[NDArray[A
     ------
     MapFileError
     """
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
-        raise MapFileError(f"{path} is no plain file; give a map file that can be read to its end")
+    check_plain_file(path, MapFileError)
     suffix = _kind(path)
     if suffix == ".npz":
         return read_npz(path)

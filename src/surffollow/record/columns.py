@@ -169,6 +169,7 @@ def load_columns(path: str | Path) -> Columns:
 
     Raises
     ------
-    UsageError  it cannot be read, is not TOML, or says something wrong
+    InputFileError  it cannot be read
+    UsageError  it is not TOML, or says something wrong
     """
     return parse_columns(read_toml(path, "column file", UsageError), str(path))

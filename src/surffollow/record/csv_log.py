@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.config.input_file import read_input
-from surffollow.errors import UsageError, escaped
+from surffollow.errors import InputFileError, UsageError, escaped
 from surffollow.record.columns import Columns
 from surffollow.record.mcap_reader import MAGIC
 from surffollow.units import decimal_number, numbers_text, unit_scale
@@ -82,7 +82,8 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
 
     Raises
     ------
-    UsageError  unreadable, a column is missing or there twice, a row has values beyond the columns, a number
+    InputFileError  it cannot be read
+    UsageError  a column is missing or there twice, a row has values beyond the columns, a number
         is none, time goes back; names file, line, column
     """
     names = _names(columns)
@@ -116,7 +117,7 @@ def read_numbers(path: str | Path, names: Sequence[str]) -> list[NDArray[np.floa
 
     Raises
     ------
-    UsageError  as `read_csv`
+    InputFileError, UsageError  as `read_csv`
     """
     remedy = f"expected: {', '.join(names)}"
     cells, _, _ = _cells(str(path), _text(path), dict.fromkeys(names, True), names[0], remedy)
@@ -128,7 +129,7 @@ def _text(path: str | Path) -> str:
     try:
         content = read_input(path, device=False)
     except OSError as e:
-        raise UsageError(f"cannot read log {path}: {e.strerror}") from None
+        raise InputFileError(f"cannot read log {path}: {e.strerror}") from None
     if content.startswith(MAGIC):
         raise UsageError(f"log {path} is a recording; a recording must have a name ending in .mcap")
     if not content.strip():

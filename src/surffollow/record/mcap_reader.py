@@ -7,7 +7,6 @@ salvaged chunk by chunk, and what was lost is counted. Nothing damaged is ever h
 from __future__ import annotations
 
 import os
-import stat
 import struct
 import zlib
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from typing import Any
 
 import lz4.frame  # type: ignore[import-untyped]
 
+from surffollow.config.input_file import check_plain_file
 from surffollow.errors import RecordingError
 from surffollow.shm.closing import Closing
 
@@ -69,8 +69,7 @@ class McapReader(Closing):
         self.damage = Damage()
         self.at = 0  # how far `records` came [B]
         try:
-            if stat.S_ISFIFO(os.stat(self.path).st_mode):  # it would be waited for, and cannot be read twice
-                raise RecordingError(f"{self.path} is a pipe; write what comes out of it to a file first")
+            check_plain_file(self.path, RecordingError)
             self._file: Any = open(self.path, "rb")  # noqa: SIM115 - closed by close()
             self._size = self._file.seek(0, os.SEEK_END)
             begins = self._read(0, len(MAGIC))

@@ -77,10 +77,11 @@ class MessageWriter:
         self.messages = 0
         self.wall_offset_ns = wall_offset_ns() if wall_offset is None else wall_offset
         self._whole = 0
+        self._opened = stream is None
         self._finished = False
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        if stream is None and self.path.exists() and not self.path.is_file():
+        if stream is None and os.path.exists(self.path) and not os.path.isfile(self.path):
             # a pipe would wait for its reader, and a device keeps nothing
             raise FaultError(f"recording {self.path} is there and is no plain file; choose another --out")
         try:
@@ -197,6 +198,8 @@ class MessageWriter:
         # where that fails, the reader recognises the half record at the end
         with contextlib.suppress(OSError, AttributeError, ValueError):
             os.ftruncate(self._stream.fileno(), self._whole)
+            if self._whole <= MARK_BYTES and self._opened:  # nothing: the next recording may have the name
+                os.unlink(os.path.realpath(self.path))
         self._stream.close()
 
 

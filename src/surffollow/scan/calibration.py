@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from surffollow.config.input_file import check_plain_file
 from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.map.formats.atomic_file import replacing
-from surffollow.scan.checks import Floats, plain_file, positive, real_array, region_of
+from surffollow.scan.checks import Floats, near, positive, real_array, region_of
 from surffollow.scan.path import ScanPath
 from surffollow.scan.terrain import delaunay
 from surffollow.scan.triangles import lay_triangles
@@ -105,6 +106,7 @@ class CalibrationMatrix:
             raise ScanInputError(f"outside is '{outside}'; expected one of {', '.join(OUTSIDE)}")
         if not np.isfinite(given).all():
             raise ScanInputError("spots must be finite; leave out those that did not touch")
+        near("the list of spots", given)
         if len(given) and np.abs(given[:, 2]).max() > LARGEST_M:
             raise ScanInputError(
                 f"a correction of {np.abs(given[:, 2]).max():g} m is beyond {LARGEST_M:g} m; in metres?"
@@ -235,7 +237,7 @@ class CalibrationMatrix:
         ------
         ScanFileError
         """
-        plain_file(path)
+        check_plain_file(path, ScanFileError)
         try:
             with open(path, encoding="ascii") as f:
                 facts = json.load(f)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surffollow.errors import ScanInputError
-from surffollow.scan.checks import Floats, finite, positive, real_array
+from surffollow.scan.checks import Floats, finite, near, positive, real_array
 
 LONGEST_RANGE_M = 100.0  # of a camera that says nothing else; a depth image in millimetres is beyond it
 
@@ -197,6 +197,7 @@ def rigid_transform(matrix: ArrayLike, name: str = "ground_from_camera") -> Floa
     m = real_array(name, matrix, (4, 4))
     if not np.isfinite(m).all() or np.abs(m[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
         raise ScanInputError(f"{name} must be finite, with the last row 0 0 0 1")
+    near(name, m)
     r = m[:3, :3]
     if np.abs(r @ r.T - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0.0:
         raise ScanInputError(f"the upper left 3 × 3 of {name} is no rotation (orthonormal, det +1)")

@@ -129,8 +129,8 @@ def _facts(path: str | os.PathLike[str], found: dict[str, Any]) -> Facts:
             raise refuse(key, f"rows of {columns} finite numbers") from e
         made = made.reshape(1, -1) if made.ndim == 1 else made
         good = made.ndim == 2 and made.shape[1] == columns and rows[0] <= len(made) <= rows[1]
-        if not good or not np.isfinite(made).all():
-            raise refuse(key, f"rows of {columns} finite numbers")
+        if not good or not (np.abs(made) <= MAX_POSITION_M).all():
+            raise refuse(key, f"rows of {columns} finite numbers of at most {MAX_POSITION_M:g}")
         return made
 
     def positive(key: str) -> float:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surffollow.errors import ScanFileError, ScanInputError
+from surffollow.config.pose_limits import MAX_POSITION_M
+from surffollow.errors import ScanInputError
 from surffollow.units import numbers_text
 
 Floats = NDArray[np.float64]
@@ -61,6 +61,17 @@ def cells_along(length_m: float, grid_m: float) -> int:
     return math.ceil(length_m / grid_m - SAME_CELLS)
 
 
+def near(name: str, values_m: ArrayLike) -> None:
+    """Nothing, or ScanInputError: a finite coordinate is beyond the farthest place that a pose may have."""
+    values = np.asarray(values_m, np.float64)
+    far = values[np.isfinite(values) & (np.abs(values) > MAX_POSITION_M)]
+    if far.size:
+        farthest_m = float(far[np.abs(far).argmax()])
+        raise ScanInputError(
+            f"{name} has a coordinate of {farthest_m:g} m; expected at most {MAX_POSITION_M:g} m: in metres?"
+        )
+
+
 def region_of(region: Sequence[float]) -> tuple[float, float, float, float]:
     """(x_min, y_min, x_max, y_max) [m] with positive sides, or ScanInputError."""
     values = real_array("region", list(region), (4,))
@@ -71,12 +82,3 @@ def region_of(region: Sequence[float]) -> tuple[float, float, float, float]:
             f"{numbers_text(x0, y0, x1, y1)}"
         )
     return x0, y0, x1, y1
-
-
-def plain_file(path: str | os.PathLike[str]) -> None:
-    """Nothing, or ScanFileError: what stands there is a pipe or a device, which may never end.
-
-    A name that is not there is left to the reader.
-    """
-    if os.path.exists(path) and not os.path.isfile(path):
-        raise ScanFileError(f"{path} is no plain file; give a file that can be read to its end")

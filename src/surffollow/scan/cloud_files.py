@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from surffollow.errors import ScanFileError
-from surffollow.scan.checks import Floats, plain_file
+from surffollow.config.input_file import check_plain_file
+from surffollow.errors import ScanFileError, ScanInputError
+from surffollow.scan.checks import Floats, near
 
 CLOUD_SUFFIXES = (".ply", ".las")
 _PLY_TYPES = {
@@ -65,7 +66,7 @@ def read_cloud(path: str | os.PathLike[str]) -> Floats:
     array([[0. , 0. , 0.1],
            [1. , 0. , 0.2]])
     """
-    plain_file(path)
+    check_plain_file(path, ScanFileError)
     suffix = Path(path).suffix.lower()
     try:
         raw = Path(path).read_bytes()
@@ -79,6 +80,10 @@ def read_cloud(path: str | os.PathLike[str]) -> Floats:
         raise ScanFileError(f"{path} is no point cloud; expected one of {', '.join(CLOUD_SUFFIXES)}")
     if len(points) == 0:
         raise ScanFileError(f"{path} holds no points")
+    try:
+        near(f"the cloud {path}", points)
+    except ScanInputError as e:
+        raise ScanFileError(str(e)) from None
     return points
 
 

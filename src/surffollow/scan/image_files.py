@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.config.input_file import check_plain_file
 from surffollow.config.toml_file import read_toml
 from surffollow.errors import ScanFileError
 from surffollow.extras import install_command
 from surffollow.map.formats.npz import DAMAGED_ARCHIVE
 from surffollow.scan.camera import Camera
-from surffollow.scan.checks import Floats, plain_file
+from surffollow.scan.checks import Floats
 
 IMAGE_SUFFIXES = (".npz", ".tif", ".tiff")
 KEYS = {"depth_m": "depth", "disparity_px": "disparity"}
@@ -81,7 +82,7 @@ def read_images(
 
 
 def _read(path: Path, table: dict[str, Any], cameras: Any) -> DepthImage:
-    plain_file(path)
+    check_plain_file(path, ScanFileError)
     own_kind = path.suffix.lower() == ".npz"
     values, kind = _npz(path) if own_kind else _tiff(path)
     images = table.get("images", {})
@@ -154,5 +155,5 @@ def _tiff(path: Path) -> tuple[Floats, str]:
 
 
 def _cameras(path: str | os.PathLike[str]) -> dict[str, Any]:
-    plain_file(path)
-    return read_toml(Path(path), "cameras", ScanFileError)
+    check_plain_file(path, ScanFileError)
+    return read_toml(Path(path), "cameras", ScanFileError, ScanFileError)

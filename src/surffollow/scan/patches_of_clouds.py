@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import ScanInputError
-from surffollow.scan.checks import Floats, positive, real_array
+from surffollow.scan.checks import Floats, near, positive, real_array
 from surffollow.scan.patches import SLOPE_BLOCK, SLOPE_FACTOR, STEEPEST_RAD, Patches, classify
 
 
@@ -76,6 +76,7 @@ def cloud_patches(
     points = real_array("points_m", points_m, (None, 3))
     if len(points) == 0 or not np.isfinite(points).all():
         raise ScanInputError("points_m needs at least one point, all finite")
+    near("points_m", points)
     cell = positive("cell_m", cell_m)
     image, lowest = _lowest(points, cell)
     if slope is None:

@@ -10,12 +10,13 @@ import os
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import ScanFileError
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.scan.attitude_angles import quaternions_of
-from surffollow.scan.checks import Floats, plain_file
+from surffollow.scan.checks import Floats
 from surffollow.scan.path import ScanPath
 from surffollow.sim.column_file import read_columns
 
@@ -107,25 +108,25 @@ def _check_facts(path: str | os.PathLike[str], facts: dict[str, Any]) -> None:
         except (TypeError, ValueError):
             value = np.full(1, np.nan)
         columns = ARRAYS.get(key)
-        good = value.size > 0 and bool(np.isfinite(value).all())
+        good = value.size > 0 and bool((np.abs(value) <= MAX_POSITION_M).all())
         if columns is None:
             good = good and value.ndim == 0 and float(value) > 0.0
         else:
             good = good and value.ndim == len(columns) and value.shape[-1] in columns[-1]
         if not good:
-            expected = (
-                "a finite number above 0" if columns is None else f"rows of {columns[-1][0]} finite numbers"
-            )
+            expected = "a number above 0" if columns is None else f"rows of {columns[-1][0]} numbers"
             raise ScanFileError(
-                f"{path}: the fact {key} is {facts[key]!r}; expected {expected}: plan it again"
+                f"{path}: the fact {key} is {str(facts[key])[:80]}; expected {expected}, finite and at most "
+                f"{MAX_POSITION_M:g}: plan it again"
             )
 
 
 def _check_attitudes(path: str | os.PathLike[str], plan: ScanPath, quaternion: Floats) -> None:
     """Refuse a row whose quaternion is another attitude than its normal and azimuth, which a run uses."""
-    expected = quaternions_of(plan.normal, plan.azimuth_rad)
-    apart = [np.linalg.norm(quaternion + sign * expected, axis=1) for sign in (-1.0, 1.0)]
-    off = np.maximum(np.minimum(*apart), np.abs(np.linalg.norm(plan.normal, axis=1) - 1.0))
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite ones are wrong, too
+        expected = quaternions_of(plan.normal, plan.azimuth_rad)
+        apart = [np.linalg.norm(quaternion + sign * expected, axis=1) for sign in (-1.0, 1.0)]
+        off = np.maximum(np.minimum(*apart), np.abs(np.linalg.norm(plan.normal, axis=1) - 1.0))
     wrong = ~(off <= ATTITUDE_SPARE)
     if wrong.any():
         k = int(np.argmax(wrong))
@@ -133,6 +134,14 @@ def _check_attitudes(path: str | os.PathLike[str], plan: ScanPath, quaternion: F
             f"{path}, row {k + 1}: the quaternion and the attitude of normal and azimuth differ by "
             f"{off[k]:.3g}, expected at most {ATTITUDE_SPARE:g}, in {wrong.sum()} rows: plan it again"
         )
+
+
+def _whole(path: str | os.PathLike[str], values: Floats, kind: type[np.integer[Any]]) -> NDArray[Any]:
+    """The column in an integer type, which has to hold it."""
+    bounds = np.iinfo(kind)
+    if not ((values >= bounds.min) & (values <= bounds.max) & (values == np.floor(values))).all():
+        raise ScanFileError(f"{path} has a pass or flags that are no whole numbers")
+    return values.astype(kind)
 
 
 def _check_places(path: str | os.PathLike[str], at: dict[str, Floats]) -> None:
@@ -181,10 +190,9 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
     >>> len(path), path.facts["gap_m"]
     (2, 0.05)
     """
-    plain_file(path)
     try:
-        comments, text = read_columns(path)
-    except (OSError, ValueError) as e:
+        comments, text = read_columns(path, ScanFileError)
+    except ValueError as e:
         raise ScanFileError(f"cannot read {path}: {e}") from e
     facts: dict[str, Any] = {}
     for comment in comments:
@@ -203,7 +211,6 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
         raise ScanFileError(f"{path} lacks the columns {', '.join(missing)}")
     try:
         at = {name: np.array([float(v) for v in text[name]]) for name in COLUMNS}
-        flags, passes = at["flags"].astype(np.uint32), at["pass"].astype(np.int32)
     except ValueError as e:
         raise ScanFileError(f"{path} has a row that is not numbers: {e}") from e
     if len(at["t_s"]) == 0:
@@ -213,8 +220,7 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
             f"{path} has {len(at['t_s'])} rows, its header says {count}; the file is not whole: plan it again"
         )
     _check_places(path, at)
-    if not (np.isfinite(at["flags"]) & np.isfinite(at["pass"])).all():
-        raise ScanFileError(f"{path} has a pass or flags that are no whole numbers")
+    flags, passes = _whole(path, at["flags"], np.uint32), _whole(path, at["pass"], np.int32)
     plan = ScanPath(
         at["t_s"],
         np.column_stack([at["x_m"], at["y_m"], at["z_m"]]),

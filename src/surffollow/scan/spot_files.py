@@ -6,8 +6,9 @@ import os
 
 import numpy as np
 
+from surffollow.config.input_file import check_plain_file
 from surffollow.errors import ScanFileError
-from surffollow.scan.checks import Floats, plain_file
+from surffollow.scan.checks import Floats
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.surface_lookup import sample_surface
 from surffollow.sim.column_file import read_columns
@@ -45,20 +46,19 @@ def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | 
     ...     read_spots(file)
     array([[0.1  , 0.2  , 0.003]])
     """
-    plain_file(path)
     third = "correction_m" if map_file is None else "z_m"
     try:
-        _, text = read_columns(path)
+        _, text = read_columns(path, ScanFileError)
         rows = zip(*(text[k] for k in ("x_m", "y_m", third)))
         spots = np.array([[decimal_number(v) for v in row] for row in rows], np.float64)
     except KeyError as e:
         raise ScanFileError(f"{path} has no column {e}; expected x_m, y_m and {third}") from e
-    except (OSError, ValueError) as e:
+    except ValueError as e:
         raise ScanFileError(f"cannot read the spots {path}: {e}") from e
     spots = spots.reshape(-1, 3)
     if map_file is None:
         return spots
-    plain_file(map_file)
+    check_plain_file(map_file, ScanFileError)
     from surffollow.map import HeightMap
 
     ground = TerrainGrid.from_map(HeightMap.load(str(map_file)))

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from surffollow.config.input_file import check_plain_file
 from surffollow.config.toml_file import read_toml
 from surffollow.errors import MapFileError, ScanFileError, ScanInputError
 from surffollow.scan.camera import rigid_transform
-from surffollow.scan.checks import Floats, plain_file
+from surffollow.scan.checks import Floats, near
 from surffollow.scan.grid import MEASURED, TerrainGrid
 from surffollow.scan.map_file import read_ground
 from surffollow.scan.surface_lookup import sample_surface
@@ -50,15 +51,15 @@ def read_stations(path: str | os.PathLike[str]) -> list[Station]:
     ScanInputError
         a station without pose, an unknown key, or a matrix that is no rigid transform
     """
-    plain_file(path)
-    table = read_toml(Path(path), "stations", ScanFileError)
+    check_plain_file(path, ScanFileError)
+    table = read_toml(Path(path), "stations", ScanFileError, ScanFileError)
     given = table.get("stations")
     if not isinstance(given, dict) or not given:
         raise ScanFileError(f'{path} has no stations; expected tables such as [stations."a.npz"]')
     made = []
     for name, pose in given.items():
         matrix = _pose(str(path), name, pose)
-        plain_file(Path(path).parent / name)
+        check_plain_file(Path(path).parent / name, ScanFileError)
         try:
             ground = read_ground(Path(path).parent / name)[0]
         except (MapFileError, OSError) as e:
@@ -92,6 +93,7 @@ def _pose(path: str, name: str, given: Any) -> Floats:
         raise ScanInputError(f"{path}, station {name}: {e}") from e
     if not all(map(math.isfinite, (x, y, z, heading))):
         raise ScanInputError(f"{path}, station {name}: its pose is not finite")
+    near(f"{path}, station {name},", (x, y, z))
     c, s = math.cos(math.radians(heading)), math.sin(math.radians(heading))
     return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]])
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import Delaunay, QhullError
 
+from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import ScanInputError
 from surffollow.scan.checks import Floats, cells_along, positive, real_array, region_of
 from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
@@ -38,7 +39,7 @@ def terrain_map(
     Parameters
     ----------
     points_m : (n, 3) float [m]
-        ground frame; points that are not finite are left out
+        ground frame; points that are not finite, or farther away than a pose may be, are left out
     grid_m : float [m]
         side of a cell
     region : (x_min, y_min, x_max, y_max)
@@ -205,9 +206,12 @@ def delaunay(xy: Floats) -> NDArray[np.int32]:
 def _points(points_m: ArrayLike, weights: ArrayLike | None) -> tuple[Floats, Floats]:
     points = real_array("points_m", points_m, (None, 3))
     w = np.ones(len(points)) if weights is None else real_array("weights", weights, (len(points),))
-    good = np.isfinite(points).all(axis=1) & np.isfinite(w)
+    good = (np.abs(points) <= MAX_POSITION_M).all(axis=1) & np.isfinite(w)
     if not good.any():
-        raise ScanInputError(f"none of the {len(points)} points is finite; a terrain map needs at least one")
+        raise ScanInputError(
+            f"none of the {len(points)} points is finite and at most {MAX_POSITION_M:g} m away; a terrain "
+            "map needs at least one"
+        )
     if (w[good] <= 0.0).any():
         raise ScanInputError("weights must be above 0 (1 / variance)")
     return points[good], w[good]

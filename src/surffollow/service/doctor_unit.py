@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
-from surffollow.errors import UsageError
+from surffollow.errors import InputFileError
 from surffollow.service.doctor_finding import FAIR, GOOD, LACKING, UNKNOWN, Finding
 
 EXPOSURE_GOOD, EXPOSURE_FAIR = 3.0, 5.0  # of 10, as `systemd-analyze security` counts
@@ -31,10 +32,10 @@ def examine_unit(unit: Path) -> list[Finding]:
 
     Raises
     ------
-    UsageError  there is no such file
+    InputFileError  there is no such file
     """
-    if not unit.is_file():
-        raise UsageError(
+    if not os.path.isfile(unit):
+        raise InputFileError(
             f"there is no unit file {unit}; an example to copy is {SYSTEMD / 'surffollow.service'}"
         )
     valid_why = "systemd ignores what it does not understand, with a line in its journal"

@@ -6,13 +6,19 @@ import csv
 import os
 from collections.abc import Iterator
 
+from surffollow.config.input_file import check_plain_file
+from surffollow.errors import FaultError, InputFileError
 
-def read_columns(file: str | os.PathLike[str]) -> tuple[list[str], dict[str, list[str]]]:
+
+def read_columns(
+    file: str | os.PathLike[str], unreadable: type[FaultError] = InputFileError
+) -> tuple[list[str], dict[str, list[str]]]:
     """Read a file's comments and columns, as text.
 
     Parameters
     ----------
     file : CSV; lines that begin with # are comments, the first other line names the columns
+    unreadable : raised when it cannot be read
 
     Returns
     -------
@@ -21,26 +27,29 @@ def read_columns(file: str | os.PathLike[str]) -> tuple[list[str], dict[str, lis
 
     Raises
     ------
-    OSError
-        it cannot be read
+    FaultError
+        `unreadable`: it is not there, may not be read, or is no plain file
     ValueError
         it is not UTF-8 text, names a column twice, or has a row of another length; the text says which
     """
+    check_plain_file(file, unreadable)
     comments: list[str] = []
     rows: list[list[str]] = []
-    with open(file, newline="", encoding="utf-8-sig") as stream:
+    try:
+        with open(file, newline="", encoding="utf-8-sig") as stream:
 
-        def lines() -> Iterator[str]:
-            for line in stream:
-                if line.lstrip().startswith("#"):
-                    comments.append(line.strip()[1:].strip())
-                else:
-                    yield line
+            def lines() -> Iterator[str]:
+                for line in stream:
+                    if line.lstrip().startswith("#"):
+                        comments.append(line.strip()[1:].strip())
+                    else:
+                        yield line
 
-        try:
             rows = [[v.strip() for v in row] for row in csv.reader(lines()) if row]
-        except csv.Error as error:
-            raise ValueError(str(error)) from error
+    except OSError as error:
+        raise unreadable(f"cannot read {file}: {error.strerror}") from None
+    except csv.Error as error:
+        raise ValueError(str(error)) from error
     if not rows:
         return comments, {}
     names = rows[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.errors import UsageError
+from surffollow.config.input_file import check_plain_file
+from surffollow.errors import InputFileError, UsageError
 from surffollow.map.formats.npz import DAMAGED_ARCHIVE
 from surffollow.sim.column_file import read_columns
 from surffollow.units import decimal_number
@@ -58,12 +58,12 @@ def read_path_table(file: str) -> PathTable:
 
     Raises
     ------
+    InputFileError
+        it cannot be read
     UsageError
-        it cannot be read, lacks a column, holds what is no number, or cannot be: times that go back, speeds
+        it lacks a column, holds what is no number, or cannot be: times that go back, speeds
         that are not positive, a quaternion whose norm is not 1, another unit in a column's name
     """
-    if os.path.exists(file) and not os.path.isfile(file):  # a pipe or a device may never end
-        raise UsageError(f"path '{file}' is no plain file; give a file that can be read to its end")
     columns = _read_npz(file) if file.lower().endswith(".npz") else _read_csv(file)
     _check_names(file, columns)
     lengths = {len(c) for c in columns.values()}
@@ -118,6 +118,7 @@ def _check_names(file: str, columns: dict[str, Any]) -> None:
 
 
 def _read_npz(file: str) -> dict[str, NDArray[np.float64]]:
+    check_plain_file(file)
     try:
         with np.load(file, allow_pickle=False) as stored:
             found = {name: stored[name] for name in stored.files}
@@ -127,7 +128,7 @@ def _read_npz(file: str) -> dict[str, NDArray[np.float64]]:
             n: np.atleast_1d(np.asarray(v, np.float64)) for n, v in found.items() if n in KNOWN or v.ndim == 1
         }
     except OSError as error:
-        raise UsageError(f"cannot read the path '{file}': {error.strerror or error}") from None
+        raise InputFileError(f"cannot read the path '{file}': {error.strerror or error}") from None
     except DAMAGED_ARCHIVE:
         raise UsageError(
             f"path '{file}' is no NPZ file of numbers; numpy.savez(FILE, x_m=…, y_m=…) writes one"
@@ -137,7 +138,7 @@ def _read_npz(file: str) -> dict[str, NDArray[np.float64]]:
 def _read_csv(file: str) -> dict[str, NDArray[np.float64]]:
     try:
         _, text = read_columns(file)
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise UsageError(f"cannot read the path '{file}': {error}") from None
     if not text:
         raise UsageError(f"path '{file}' is empty; a header line and two or more corners are needed")

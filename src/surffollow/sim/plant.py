@@ -15,7 +15,7 @@ import msgspec
 from numpy.typing import NDArray
 
 from surffollow.config.key_errors import key_error_text
-from surffollow.config.toml_file import read_small
+from surffollow.config.toml_file import read_toml
 from surffollow.errors import ConfigError, UsageError
 from surffollow.shm.jit import jit
 from surffollow.units import parse_quantity
@@ -93,12 +93,8 @@ def from_table(table: dict[str, Any], kind: type[T], source: str) -> T:
 
 
 def read_tables(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file; ConfigError says why not."""
-    try:
-        table: dict[str, Any] = msgspec.toml.decode(read_small(path, "plant", ConfigError))
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot use the plant '{path}': {error}") from error
-    return table
+    """Read a TOML file; ConfigError or InputFileError says why not."""
+    return read_toml(path, "plant", ConfigError)
 
 
 def load_plant(path: str | Path) -> PlantConfig:
@@ -111,11 +107,17 @@ def load_plant(path: str | Path) -> PlantConfig:
 
     Raises
     ------
+    InputFileError
+        the file cannot be read
     ConfigError
-        when the file cannot be read, is not TOML, has an unknown key or table, a key both at top level and
+        when it is not TOML, has an unknown key or table, a key both at top level and
         under [plant], or a value out of range
     """
-    tables = read_tables(path)
+    return plant_of(read_tables(path), path)
+
+
+def plant_of(tables: dict[str, Any], path: str | Path) -> PlantConfig:
+    """Plant of the tables that `read_tables` gave for a file; ConfigError as `load_plant`."""
     if not isinstance(tables.get("plant", {}), dict):
         raise ConfigError(f"plant '{path}': plant is no table; write [plant], or its keys at top level")
     twice = sorted(set(tables) & set(tables.get("plant", {})))

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.input_file import check_plain_file
 from surffollow.config.pose_limits import MAX_POSITION_M
-from surffollow.errors import UsageError
+from surffollow.errors import InputFileError, UsageError
 from surffollow.sim.profiles import MARGIN_M, SPACING_M, Profile, grid_x, made
 
 MAX_HEIGHT_M = 1e5  # beyond, a square of a height says nothing about millimetres
@@ -66,17 +67,20 @@ def read_csv(path: str | Path) -> Profile:
 
     Raises
     ------
+    InputFileError
+        it cannot be read
     UsageError
-        when the file cannot be read, has fewer than two rows, x does not grow from row to row, or a number is
+        when the file has fewer than two rows, x does not grow from row to row, or a number is
         out of bounds
     """
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
-        raise UsageError(f"surface '{path}' is no plain file; give a file that can be read to its end")
+    check_plain_file(path)
     try:
         with open(path, encoding="utf-8-sig") as stream:
             lines = [line.strip() for line in stream if line.strip() and not line.startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot read the surface '{path}': {error}") from error
+    except OSError as error:
+        raise InputFileError(f"cannot read the surface '{path}': {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise UsageError(f"surface '{path}' is no text in UTF-8: {error}") from None
     columns = [0, 1]
     if lines and not _is_number(lines[0].split(",")[0]):
         header = [name.strip().strip('"') for name in lines.pop(0).split(",")]

@@ -20,6 +20,7 @@ from surffollow.sim.standstill import Standstill, Stoppable
 from surffollow.sim.world import WorldWriter
 
 RETRY_NS = 200_000_000
+LOOK_NS = 1_000_000_000
 FIFO_PRIORITY = 20  # above other programs, below any service
 FINAL = (RefusedError, NoPermissionError, LayoutMismatchError)  # another attempt ends as this one did
 
@@ -239,6 +240,7 @@ def run_robot(
     wait_s: float = 10.0,
     standstill: Standstill | None = None,
     own_standoff: bool = False,
+    look: Callable[[], None] = lambda: None,
 ) -> tuple[RobotCore, dict[str, Any]]:
     """Run the robot of service `name` in wall time until its task is done or `stopped()`.
 
@@ -251,6 +253,7 @@ def run_robot(
     wait_s : how long to wait for the service at the start [s]
     standstill : notes why there is no valid demand; its `error` ends the run
     own_standoff : keep the stand-off that the service has, not that of the configuration
+    look : called once a second, and at the end while the service still sees the robot
 
     Returns
     -------
@@ -277,10 +280,14 @@ def run_robot(
             core = RobotCore(config, field, time.monotonic_ns())
             controller.drive(core)
         core.restart_clock(time.monotonic_ns())
-        tick_ns = round(1e9 / config.plant.tick_hz)
+        tick_ns, look_ns = round(1e9 / config.plant.tick_hz), core.t_ns + LOOK_NS
         while not (core.done or stopped() or (standstill is not None and standstill.error)):
             controller.tick()
             core.advance(core.t_ns + tick_ns, world.latch)
+            if core.t_ns >= look_ns:
+                look_ns += LOOK_NS
+                look()
+        look()
     finally:
         controller.release()
         world.close()

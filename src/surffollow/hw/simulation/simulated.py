@@ -18,6 +18,7 @@ from surffollow.errors import BlockError, NotReadyError, NotRunningError
 from surffollow.hw.driver import ConversionQueue, DriverInfo, Eight, PoseQueue, mounts_of
 from surffollow.hw.driver_thread import CONTROL_WORDS, STOP, DriverThread
 from surffollow.hw.simulation import adc
+from surffollow.hw.simulation.ground_check import GroundCheck
 from surffollow.hw.simulation.led_config import physics
 from surffollow.hw.simulation.pose_history import PoseHistory
 from surffollow.hw.simulation.pose_source import (
@@ -55,6 +56,7 @@ def warm_up() -> None:
     control = np.zeros(CONTROL_WORDS, np.int64)
     control[STOP] = 1
     led, heights_m = physics(config.led, config.seed), np.zeros((2, 2))
+    HeightField(heights_m, 0.0, 0.0, 1.0).height_m(0.0, 0.0)
     rig = make_rig(config, ConversionQueue(2), 0)
     history, frame, world = zeros(PoseHistory), np.zeros(3), zeros(WorldPose)
     produce(rig, led, history, heights_m, frame, 0)
@@ -92,6 +94,7 @@ class SimulatedDriver:
         self._had_pose = False  # since the start
         self.reports = PoseQueue()
         near_m, far_m = self._config.led.window_m
+        self._ground = GroundCheck(self._field, far_m - near_m)
         scale_m, zero_m = adc.calibration(near_m, far_m)
         ones = np.ones(CHANNELS)
         self._info = DriverInfo(
@@ -162,12 +165,12 @@ class SimulatedDriver:
         return []
 
     def notes(self) -> list[str]:
-        """Source of the sensors' pose, when that is not the true one; that there has been no pose yet.
+        """Source of the sensors' pose, when that is not the true one; another ground; no pose yet.
 
         The latter is no fault: a service starts before its robot.
         """
         on_reports = int(self._thread.control[SOURCE]) == FROM_REPORTS
-        found = [REPORTED_POSES_NOTE] if on_reports else []
+        found = [REPORTED_POSES_NOTE] if on_reports else [self._ground.note] if self._ground.note else []
         if self._thread.running and self._awaits_first_pose():
             found.insert(0, self._fault or (NOTHING_REPORTED if on_reports else NOTHING_PUBLISHED))
         return found
@@ -191,6 +194,8 @@ class SimulatedDriver:
         fault, source = self._fault, FROM_WORLD
         if expected == "reported" or (expected == "auto" and not self._world_is_written()):
             fault, source = "", FROM_REPORTS
+        elif self._reader is not None:
+            self._ground.look(self._reader.latest(), self._reader.epoch)
         self._thread.control[SOURCE] = source
         self._fault = fault
 
