@@ -109,7 +109,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
         return health.forget(adaptive.health, layout_adaptive.FAULT_CLOCK)
     reported = pose_t_ns != before_ns
     if reported:
-        if kinematics.update_kinematics(params, adaptive.kinematics, sense, before_ns == 0):
+        if kinematics.update_kinematics(params, adaptive.kinematics, sense):
             setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
         plant_identification.update_plant(params, adaptive, sense, inputs)
     measurement.process_sample(params, adaptive, sense, fold, inputs, output, pose)
