@@ -189,7 +189,7 @@ def test_no_speed_is_measured_across_a_long_gap_of_reports():
 
     def report(t_ms, x):
         push_pose(sense, 10**12 + t_ms * MS, np.array([x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
-        update_kinematics(default_params(), a["kinematics"], sense, t_ms == 0)
+        update_kinematics(default_params(), a["kinematics"], sense)
         return float(a["kinematics"]["speed_mps"]), float(a["kinematics"]["climb_mps"])
 
     for t in range(0, 200, 10):
@@ -208,7 +208,7 @@ def test_a_jump_of_height_is_more_than_the_axis_can_turn(step_m, jumps):
     for k in range(5):
         z = 0.1 + step_m * (k == 4)
         push_pose(sense, 10**12 + 100 * k * MS, np.array([0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0]), 0)
-        update_kinematics(params, kinematics, sense, k == 0)
+        update_kinematics(params, kinematics, sense)
     assert (kinematics["jump_ns"] != 0) == jumps
 
 

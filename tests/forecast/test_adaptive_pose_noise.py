@@ -114,7 +114,7 @@ def test_a_tool_that_stops_is_at_rest_a_second_later_with_a_noisy_position():
     for k in range(300):
         x, y = 2e-3 * min(k, 150) + 1e-3 * rng.standard_normal(), 1e-3 * rng.standard_normal()
         push_pose(sense, 10**12 + 10 * k * MS, np.array([x, y, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
-        update_kinematics(default_params(), kinematics, sense, k == 0)
+        update_kinematics(default_params(), kinematics, sense)
         speeds.append(float(kinematics["speed_mps"]))
     assert min(speeds[20:150]) > 0.1
     assert max(speeds[170:]) < 0.12
@@ -128,7 +128,7 @@ def test_a_speed_near_the_limit_does_not_begin_the_path_again_and_again():
     for k in range(500):
         x += 1e-2 * (5e-3 + 1e-3 * math.sin(0.3 * k))
         push_pose(sense, 10**12 + 10 * k * MS, np.array([x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
-        update_kinematics(default_params(), kinematics, sense, k == 0)
+        update_kinematics(default_params(), kinematics, sense)
         rests.append(is_at_rest(kinematics))
     assert sum(a != b for a, b in itertools.pairwise(rests)) <= 1
 
@@ -144,7 +144,7 @@ def test_the_speed_of_a_tool_that_creeps_is_its_mean_whatever_the_noise(noise_m)
     for k in range(4000):
         x, y = 15e-5 * k + noise_m * rng.standard_normal(), noise_m * rng.standard_normal()
         push_pose(sense, 10**12 + 10 * k * MS, np.array([x, y, 0.1, 0.0, 0.0, 0.0, 1.0]), 0)
-        update_kinematics(default_params(), kinematics, sense, k == 0)
+        update_kinematics(default_params(), kinematics, sense)
         speeds.append(float(kinematics["speed_mps"]))
     mean = np.mean(speeds[100:]) / 15e-3
     print(f"mean speed over the true one {mean:.3f}")

@@ -32,10 +32,10 @@ def samples_that_confirm(interval_s: float, rises_on: bool = False) -> int:
     """How many agreeing samples 10 mm above the estimate confirm a step toward the tool."""
     a = zeros(AdaptiveState)[0]
     a["hold"]["interval_s"], a["plant"]["tau_s"] = interval_s, TAU_S
-    a["gate"]["slot_likelihood"] = 1.0
+    a["gate"]["slot_likelihood"], a["gate"]["width_m"] = 1.0, 1e-3
     for n in range(1, 10):
         a["estimate"]["sample_ns"] += int(interval_s * 1e9)
-        if confirm_by(default_params(), a, 0.01, 1e-4, 1e-3, rises_on):
+        if confirm_by(default_params(), a, 0.01, 1e-4, rises_on):
             return n
     return 0
 

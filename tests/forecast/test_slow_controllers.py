@@ -187,5 +187,5 @@ def test_the_error_at_constant_velocity_is_learned_from_rare_reports():
     params, a, sense = default_params()[0], zeros(AdaptiveState)[0], zeros(SenseState)[0]
     for k in range(2):
         push_pose(sense, 10**9 + 400 * k * MS, np.array([0.0, 0.0, 0.1 + 4e-3 * k, 0, 0, 0, 1.0]), 0)
-    update_kinematics(params, a["kinematics"], sense, False)
+        update_kinematics(params, a["kinematics"], sense)
     assert a["kinematics"]["climb_scatter_m"] == pytest.approx(4e-3)

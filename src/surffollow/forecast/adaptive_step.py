@@ -109,12 +109,11 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
         return health.forget(adaptive.health, layout_adaptive.FAULT_CLOCK)
     reported = pose_t_ns != before_ns
     if reported:
-        if kinematics.update_kinematics(params, adaptive.kinematics, sense, before_ns == 0):
+        if kinematics.update_kinematics(params, adaptive.kinematics, sense):
             setpoint_limits.release_setpoint(setpoint)  # it is in the frame before the jump
         plant_identification.update_plant(params, adaptive, sense, inputs)
     measurement.process_sample(params, adaptive, sense, fold, inputs, output, pose)
-    if params.n_channels > 1:
-        lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
+    lookahead_sensor.observe_lookahead(params, adaptive, sense, pose)
     close = layout.TOO_CLOSE if fold.close != 0 else 0
     stuck, lost = health.update_health(params, adaptive, sense, close != 0)
     jumped = kinematics.has_jumped(adaptive)

@@ -144,12 +144,11 @@ def report_pose(state, step_ns, t_ns, pose):
         # a step in between that is as new says that this route of poses is late
         begun = is_set_back(sense, t_ns, scale_duration(MAX_GAP_NS, to_inputs)) and step_ns < newest
         begun = begun or (t_ns <= newest - jump_ns and newest > max(t_ns, step_ns) + jump_ns)
-        if not begun:
-            sense.poses_refused += 1
-            return REFUSED
-        sense.pose_count = 0
+        if begun:
+            sense.pose_count = 0
+    if push_pose(sense, t_ns, pose, 0) == 0:
+        return REFUSED
     sense.back_count = 0
-    push_pose(sense, t_ns, pose, 0)
     return CLOCK_SET if begun else TAKEN
 
 

@@ -31,7 +31,7 @@ def take_back(params, adaptive, h_m, travel_m, way_m, moved_m, stretch):
     with_it_m = h_m - model_weights.blended(adaptive, bank.height_m)
     without_m = h_m - model_weights.blended(adaptive, earlier.bank.height_m)
     if abs(without_m) < 0.5 * abs(with_it_m) and is_outlier(params, adaptive, with_it_m, travel_m):
-        model_bank.copy_bank(bank, earlier.bank)
+        model_bank.restore_bank(adaptive)
         earlier.kept = 0
 
 
@@ -40,7 +40,7 @@ def keep_bank(adaptive):
     """Keep the bank of a slow sensor before it is updated with a sample."""
     adaptive.earlier.kept = 1 if is_slow(adaptive) else 0
     if adaptive.earlier.kept != 0:
-        model_bank.copy_bank(adaptive.earlier.bank, adaptive.bank)
+        adaptive.earlier.bank = adaptive.bank
 
 
 @jit

@@ -98,7 +98,7 @@ def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
     # a glitch behind a sample that waited is beyond any rise of the ground from the gate on
     rise_m = pending_samples.possible_rise_m(params, adaptive, travel_m)
     rises_on = rises_on and innovation_m < gate.width_m + rise_m
-    if not pending_samples.confirm_by(params, adaptive, innovation_m, travel_m, gate.width_m, rises_on):
+    if not pending_samples.confirm_by(params, adaptive, innovation_m, travel_m, rises_on):
         return PENDING
     return RESTART if adaptive.pending.samples > samples else STEP
 

@@ -60,13 +60,9 @@ def reset_bank(bank, h_m, variance_m2):
 
 
 @jit
-def copy_bank(bank, other):
-    """Copy heights, slopes, curvatures, their covariance and the wave numbers of another bank."""
-    for i in range(N_MODELS):
-        bank.height_m[i], bank.slope[i] = other.height_m[i], other.slope[i]
-        bank.curvature[i], bank.wave_number[i] = other.curvature[i], other.wave_number[i]
-        bank.p00[i], bank.p01[i], bank.p02[i] = other.p00[i], other.p01[i], other.p02[i]
-        bank.p11[i], bank.p12[i], bank.p22[i] = other.p11[i], other.p12[i], other.p22[i]
+def restore_bank(adaptive):
+    """Take the bank without its newest sample (`earlier_bank`)."""
+    adaptive.bank = adaptive.earlier.bank
 
 
 @jit

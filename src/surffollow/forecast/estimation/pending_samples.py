@@ -20,16 +20,16 @@ def possible_rise_m(params, adaptive, travel_m):
 
 
 @jit
-def _agrees(params, adaptive, innovation_m, travel_m, gate_m):
+def _agrees(params, adaptive, innovation_m, travel_m):
     """Whether an outlier is as high as the pending one before, but for a slope of 1 between the two.
 
     Nearer ground may rise by up to `MAX_SLOPE`. Ground that rises, or moves below a tool at rest, may move as
     fast as the axis can.
     """
-    pending = adaptive.pending
+    pending, inner_m = adaptive.pending, INNER_GATE * adaptive.gate.width_m
     height_m = adaptive.estimate.height_m + innovation_m
     further_m = height_m - pending.kept_height_m[(pending.samples - 1) & (PENDING_HEIGHTS - 1)]
-    tolerance = max(INNER_GATE * gate_m, params.gate_m, HOLD_TOLERANCE_COUNTS * count_m(adaptive.hold))
+    tolerance = max(inner_m, params.gate_m, HOLD_TOLERANCE_COUNTS * count_m(adaptive.hold))
     tolerance += travel_m
     if further_m > 0.0 or adaptive.estimate.rests != 0:
         nearer_m = travel_m if innovation_m > 0.0 else 0.0
@@ -72,7 +72,7 @@ def _needed(params, adaptive, rises_on):
 
 
 @jit
-def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
+def confirm_by(params, adaptive, innovation_m, travel_m, rises_on):
     """Hold an outlier as pending; whether the pending samples are a step with it.
 
     Parameters
@@ -80,7 +80,6 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
     params, adaptive : records of `Params`, `AdaptiveState` (`pending` updated)
     innovation_m : float64  innovation ν of the sample [m], outside the gate
     travel_m : float64      distance travelled since the sample before [m]
-    gate_m : float64        width of the gate [m]
     rises_on : bool         this sample is nearer, as the one before was, and ground can rise so: one sample
                             less is needed
 
@@ -94,7 +93,7 @@ def confirm_by(params, adaptive, innovation_m, travel_m, gate_m, rises_on):
     A step is confirmed when pending ≥ need and is_step. One outlier that disagrees with n others is left out.
     """
     pending, estimate = adaptive.pending, adaptive.estimate
-    agrees = _agrees(params, adaptive, innovation_m, travel_m, gate_m)
+    agrees = _agrees(params, adaptive, innovation_m, travel_m)
     if not agrees and pending.samples >= params.step_samples and pending.odd == 0:
         pending.odd = 1  # a glitch among many that agree
         pending.travel_m += travel_m

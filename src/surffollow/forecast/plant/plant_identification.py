@@ -49,8 +49,7 @@ def reset_axes(adaptive, t_ns, z_m):
     """
     plant = adaptive.plant
     climb_mps = adaptive.kinematics.climb_mps - plant.disturbance_mps
-    for k in range(N_PLANTS):
-        plant.position_m[k], plant.velocity_mps[k] = z_m, climb_mps
+    plant.position_m[:], plant.velocity_mps[:] = z_m, climb_mps
     plant.axis_m, plant.axis_mps = z_m, climb_mps
     plant.t_ns = t_ns
     plant.offset_m = plant.scatter_m = 0.0

@@ -10,7 +10,8 @@ from surffollow.forecast.sensing.kinematics import is_at_rest
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive_estimation import N_AXES, N_MODELS, N_PERIODS
 
-MAX_LAG_S = 0.32  # of a sensor that trails: half the setpoints kept, the others are for its latency
+# of a sensor that trails: half the setpoints kept, the others are for its latency
+MAX_LAG_S = 0.5 * N_PERIODS * axis_model.PERIOD_S
 
 
 @jit

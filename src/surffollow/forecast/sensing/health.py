@@ -144,48 +144,36 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
     -------
     int, int  numbers of HEALTH_NAMES and REASON_NAMES
     """
-    samples, dropout = adaptive.estimate.samples, is_dropout(adaptive)
+    health, samples, dropout = adaptive.health, adaptive.estimate.samples, is_dropout(adaptive)
     silent_bits = silent << layout.REASON_CHANNELS
-    begun_anew = adaptive.health.faults & layout.FAULT_NOT_FINITE != 0 and samples < quantities.USUAL_SAMPLES
+    begun_anew = health.faults & layout.FAULT_NOT_FINITE != 0 and samples < quantities.USUAL_SAMPLES
     outside = samples > 0 and dropout and is_outside(params, adaptive)
-    if adaptive.health.upward != 0:
-        return layout.DROPOUT, layout.REASON_UPWARD
-    if is_reversed(adaptive.frame):
-        return layout.FAULT, layout.REASON_REVERSED
-    if begun_anew:
-        return layout.FAULT, layout.REASON_NOT_FINITE
-    if stuck and not dropout:
-        return layout.STUCK, layout.REASON_STUCK
-    if outside:
-        return layout.OUT_OF_RANGE, layout.REASON_OUTSIDE | silent_bits
-    if samples == 0 or dropout:
-        return layout.DROPOUT, layout.REASON_NO_READING | silent_bits
-    if lost:
-        return layout.DROPOUT, layout.REASON_LOST | silent_bits
-    if adaptive.hold.shift_ns > 0:
-        return layout.SUSPECT, layout.REASON_TIMESTAMPS
-    if has_jumped(adaptive):
-        return layout.SUSPECT, layout.REASON_POSE_JUMP
-    if adaptive.beams.inconsistent != 0:
-        return layout.SUSPECT, layout.REASON_SENSORS
-    if adaptive.rotation.phase == ROTATION_FAILED:
-        return layout.SUSPECT, layout.REASON_ROTATION
-    if silent != 0:
-        return layout.SUSPECT, layout.REASON_SILENT | silent_bits
-    if old != 0:
-        return layout.SUSPECT, layout.REASON_OLD | old << layout.REASON_CHANNELS
-    if left_out != 0:
-        return layout.SUSPECT, layout.REASON_LEFT_OUT | left_out << layout.REASON_CHANNELS
-    if is_late(adaptive):
-        return layout.SUSPECT, layout.REASON_LATE
-    if adaptive.repeats.unused != 0:
-        return layout.SUSPECT, layout.REASON_REPEATED
-    if adaptive.descent.unexplained != 0:
-        return layout.SUSPECT, layout.REASON_DESCENT
-    if adaptive.pending.samples > 0:
-        return layout.SUSPECT, layout.REASON_PENDING
+    failed = adaptive.rotation.phase == ROTATION_FAILED
     tested = moves_tool(adaptive.response) or moves_to_check(adaptive.frame)
-    return layout.OK, layout.REASON_TESTED if tested else layout.REASON_NONE
+    for holds, state, reason in (  # the gravest first
+        (health.upward != 0, layout.DROPOUT, layout.REASON_UPWARD),
+        (is_reversed(adaptive.frame), layout.FAULT, layout.REASON_REVERSED),
+        (begun_anew, layout.FAULT, layout.REASON_NOT_FINITE),
+        (stuck and not dropout, layout.STUCK, layout.REASON_STUCK),
+        (outside, layout.OUT_OF_RANGE, layout.REASON_OUTSIDE | silent_bits),
+        (samples == 0 or dropout, layout.DROPOUT, layout.REASON_NO_READING | silent_bits),
+        (lost, layout.DROPOUT, layout.REASON_LOST | silent_bits),
+        (adaptive.hold.shift_ns > 0, layout.SUSPECT, layout.REASON_TIMESTAMPS),
+        (has_jumped(adaptive), layout.SUSPECT, layout.REASON_POSE_JUMP),
+        (adaptive.beams.inconsistent != 0, layout.SUSPECT, layout.REASON_SENSORS),
+        (failed, layout.SUSPECT, layout.REASON_ROTATION),
+        (silent != 0, layout.SUSPECT, layout.REASON_SILENT | silent_bits),
+        (old != 0, layout.SUSPECT, layout.REASON_OLD | old << layout.REASON_CHANNELS),
+        (left_out != 0, layout.SUSPECT, layout.REASON_LEFT_OUT | left_out << layout.REASON_CHANNELS),
+        (is_late(adaptive), layout.SUSPECT, layout.REASON_LATE),
+        (adaptive.repeats.unused != 0, layout.SUSPECT, layout.REASON_REPEATED),
+        (adaptive.descent.unexplained != 0, layout.SUSPECT, layout.REASON_DESCENT),
+        (adaptive.pending.samples > 0, layout.SUSPECT, layout.REASON_PENDING),
+        (tested, layout.OK, layout.REASON_TESTED),
+    ):
+        if holds:
+            return state, reason
+    return layout.OK, layout.REASON_NONE
 
 
 @jit_inlined

@@ -154,15 +154,14 @@ def travel_velocity(kinematics, sense, last):
 
 
 @jit
-def update_kinematics(params, kinematics, sense, begins):
+def update_kinematics(params, kinematics, sense):
     """Lateral and vertical velocity of the tool with all new reports; returns whether it jumped.
 
     Parameters
     ----------
     params, kinematics, sense : records of `Params`, `Kinematics` (updated), `SenseState`
-    begins : bool  there was no report before
     """
-    newest, jumped = sense.pose_count - 1, False
+    newest, begins, jumped = sense.pose_count - 1, kinematics.reports == 0, False
     first = newest if begins else min(max(kinematics.reports, newest - POSES + 3), newest)  # two before it
     for k in range(first, newest + 1):
         if not begins and note_jump(params, kinematics, sense, k):

@@ -33,11 +33,21 @@ def process_sample(params, adaptive, sense, fold, inputs, output, pose):
     -----
     The newest pose reported gives the desired height and the sample's place in the preview.
     """
-    sample = adaptive.sample
-    is_new, channel, range_m, t = take_sample(params, adaptive, sense, inputs, output, pose)
-    if is_new:
-        sample.entered = 0
-        enter_sample(params, adaptive, sense, fold, inputs, output, pose, channel, range_m, t)
+    sample, channel = adaptive.sample, 0
+    if orients(params):
+        reference = adaptive.beams.reference
+        if inputs.n_ranges > 0 and sense.fresh[reference] != 0:
+            observe_timestamp(adaptive, sense.range_t_ns[reference])
+        channel = beam_detection.observe_beams(params, adaptive, sense, pose)
+    else:
+        beam_detection.release_beams(adaptive.beams)
+        plane_fit.reset_plane(adaptive.plane)
+        rotation_response.reset_rotation(adaptive.rotation)
+    if channel >= 0:
+        is_new, range_m, t = new_sample(params, adaptive, sense, inputs, channel)
+        if is_new:
+            sample.entered = 0
+            enter_sample(params, adaptive, sense, fold, inputs, output, pose, channel, range_m, t)
     if orients(params):
         for c in range(params.n_channels):
             if sample.entered == 0 or adaptive.beams.accepted[c] == 0:
@@ -94,35 +104,6 @@ def enter_sample(params, adaptive, sense, fold, inputs, output, pose, channel, r
     if not orients(params):
         output.fresh |= 1
         output.target_m[0], output.target_m[1], output.target_m[2] = x, y, h
-
-
-@jit_inlined
-def take_sample(params, adaptive, sense, inputs, output, pose):
-    """Whether there is a new sample, its channel, range and timestamp; one sensor is not mapped yet.
-
-    Parameters
-    ----------
-    params, adaptive, sense, inputs, output : as in `process_sample`
-    pose : (7,) float64  scratch
-
-    Returns
-    -------
-    bool, int64, float64 [m], int64 [ns]
-    """
-    channel = 0
-    if orients(params):
-        reference = adaptive.beams.reference
-        if inputs.n_ranges > 0 and sense.fresh[reference] != 0:
-            observe_timestamp(adaptive, sense.range_t_ns[reference])
-        channel = beam_detection.observe_beams(params, adaptive, sense, pose)
-    else:
-        beam_detection.release_beams(adaptive.beams)
-        plane_fit.reset_plane(adaptive.plane)
-        rotation_response.reset_rotation(adaptive.rotation)
-    if channel < 0:
-        return False, channel, 0.0, 0
-    is_new, range_m, t = new_sample(params, adaptive, sense, inputs, channel)
-    return is_new, channel, range_m, t
 
 
 @jit_inlined

@@ -148,21 +148,6 @@ def propagate_setpoint(params, adaptive, target_m, dt_s):
         setpoint.approaching = 0
 
 
-@jit
-def note_limits(params, setpoint):
-    """Note the limits of acceleration and jerk; whether one is lower than for the setpoint before."""
-    accel_mps2, jerk_mps3 = acceleration_limit(params, 1.0), params.max_jerk_mps3
-    fallen = accel_mps2 < setpoint.max_accel_mps2 or jerk_mps3 < setpoint.max_jerk_mps3
-    setpoint.max_accel_mps2, setpoint.max_jerk_mps3 = accel_mps2, jerk_mps3
-    return fallen
-
-
-@jit
-def begin_setpoint(setpoint, height_m, rate_mps):
-    """Begin at a height [m] with a velocity [m/s] and without acceleration."""
-    setpoint.position_m, setpoint.velocity_mps, setpoint.acceleration_mps2 = height_m, rate_mps, 0.0
-
-
 @jit_inlined
 def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     """Move the setpoint toward its target within the limits; after a pause it begins at the tool.
@@ -185,14 +170,16 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
         pause = dt > restart_pause_s(setpoint)
         update_interval(setpoint, dt)
     setpoint.t_ns = now_ns
+    accel_mps2, jerk_mps3 = acceleration_limit(params, 1.0), params.max_jerk_mps3
+    fallen = accel_mps2 < setpoint.max_accel_mps2 or jerk_mps3 < setpoint.max_jerk_mps3
+    setpoint.max_accel_mps2, setpoint.max_jerk_mps3 = accel_mps2, jerk_mps3
+    if fallen or pause:
+        # where a limit fell with the motion of the tool, which its axis can stop; none toward the surface
+        rate_mps = 0.0 if pause else max(adaptive.kinematics.climb_mps, 0.0)
+        setpoint.position_m = tool_z_m + rate_mps * adaptive.plant.tau_s
+        setpoint.velocity_mps, setpoint.acceleration_mps2 = rate_mps, 0.0
     if pause:
-        begin_setpoint(setpoint, tool_z_m, 0.0)
-        setpoint.approaching = 1
-        dt = SHORT_CYCLE_S
-    if note_limits(params, setpoint) and not pause:
-        # with the motion of the tool, which its axis can stop; none toward the surface
-        rate_mps = max(adaptive.kinematics.climb_mps, 0.0)
-        begin_setpoint(setpoint, tool_z_m + rate_mps * adaptive.plant.tau_s, rate_mps)
+        setpoint.approaching, dt = 1, SHORT_CYCLE_S
     longest_s = 0.02  # a longer cycle moves the setpoint no farther, unless all are long
     dt = min(dt, longest_s) if dt <= PAUSE_NS * 1e-9 else dt
     steps = math.ceil(dt / longest_s)
