@@ -1,0 +1,101 @@
+"""Spare numba what it does again for every statement of a kernel, with the same result.
+
+- numba keeps its types as classes with an abstract metaclass, whose `isinstance` runs in Python: three million times
+  in a cold start. No class is registered as a virtual subclass of one.
+- For `a[0]` numba first looks for an implementation of its own, of which arrays have none. It then reloads
+  all its registries and writes an error message with both types. Here a second search finds the first one's end.
+- Whether an implementation takes a `loc` is read from its signature for each use.
+- The context of an error is written down before each statement, by a generator.
+- Python (from 3.11) takes a function's frame from a chunk of 16 KiB. A call that needs the next chunk maps and unmaps
+  memory each time, and compiling recurses through many chunks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from typing import Any
+
+from numba.core import base, errors, lowering, typeinfer, types
+
+_Context: Any = base.BaseContext
+_get_ordinarily: Any = _Context.get_function
+_find_ordinarily: Any = base.OverloadSelector._find
+_has_loc_ordinarily: Any = base._has_loc
+_error_context: Any = errors.new_error_context
+_missing: set[Any] = set()  # names of operations with types that have no implementation of their own
+_FRAME_WORDS = 66_000  # more than half a chunk of 1 MiB: the other half is for the calls
+
+types.Type.__class__.__instancecheck__ = type.__instancecheck__  # type: ignore[method-assign]
+
+
+def _get_function(context: Any, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
+    """As numba's `BaseContext.get_function`."""
+    if not isinstance(fn, str):
+        return _get_ordinarily(context, fn, sig, _firstcall)
+    key = fn, sig.args
+    if key in _missing:
+        raise NotImplementedError(f"no definition of {fn}")
+    try:
+        return _get_ordinarily(context, fn, sig, _firstcall)
+    except NotImplementedError:
+        _missing.add(key)
+        raise
+
+
+def _find(selector: Any, sig: Any) -> Any:
+    """As numba's `OverloadSelector._find`, whose callers catch the error."""
+    candidates = selector._select_compatible(sig)
+    if candidates:
+        return candidates[selector._best_signature(candidates)]
+    raise errors.NumbaNotImplementedError("no implementation")
+
+
+class _ErrorContext:
+    """As numba's `errors.new_error_context`, which is called where there is an error."""
+
+    __slots__ = ("_about", "_args")
+
+    def __init__(self, *args: Any, **about: Any) -> None:
+        self._args, self._about = args, about
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+        if isinstance(error, errors.NumbaError):
+            with _error_context(*self._args, **self._about):
+                raise error
+
+
+def _call(call: Callable[[], Any]) -> Any:
+    return call()
+
+
+def _with_room(call: Callable[[], Any]) -> Any:
+    """Call from a frame whose chunk has room for half a megabyte of frames."""
+    return call()
+
+
+_with_room.__code__ = _with_room.__code__.replace(co_stacksize=_FRAME_WORDS)
+
+
+@contextlib.contextmanager
+def shortcuts() -> Iterator[Callable[[Callable[[], Any]], Any]]:
+    """Use the shortcuts while kernels compile; gives what calls with room. Under numba's lock."""
+    if _Context.get_function is _get_function:  # a kernel that a kernel calls
+        yield _call
+        return
+    _Context.get_function, base.OverloadSelector._find = _get_function, _find
+    base._has_loc = lru_cache(1 << 12)(_has_loc_ordinarily)
+    lowering.new_error_context = typeinfer.new_error_context = _ErrorContext
+    try:
+        yield _with_room
+    finally:
+        _Context.get_function, base.OverloadSelector._find = _get_ordinarily, _find_ordinarily
+        base._has_loc = _has_loc_ordinarily
+        lowering.new_error_context = typeinfer.new_error_context = _error_context
+        _missing.clear()
+
+
