@@ -97,5 +97,3 @@ def shortcuts() -> Iterator[Callable[[Callable[[], Any]], Any]]:
         base._has_loc = _has_loc_ordinarily
         lowering.new_error_context = typeinfer.new_error_context = _error_context
         _missing.clear()
-
-

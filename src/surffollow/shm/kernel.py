@@ -134,7 +134,12 @@ class Kernel(CPUDispatcher):
                 self._compiling = True
                 try:
                     compiling = event.trigger_event("numba:compile", data=about)
-                    with compiling, remembered(self.typingctx), lifetimes_when_used(), shortcuts() as compile_in:
+                    with (
+                        compiling,
+                        remembered(self.typingctx),
+                        lifetimes_when_used(),
+                        shortcuts() as compile_in,
+                    ):
                         part = compile_in(lambda: self._compile_part(args, tag))
                 finally:
                     self._compiling = False
