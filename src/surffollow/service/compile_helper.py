@@ -1,8 +1,8 @@
 """At a cold start, compile half of the kernels in a second process.
 
-The service compiles the default follower and the cycle's machine code; the helper what the follower does with
-several sensors, the rest of the step and of the cycle, the map thread and simulated sensors. All end up in the kernel cache, where the other process
-finds them.
+The service compiles the default follower and the cycle's machine code. The helper compiles what the follower
+does with several sensors and with known ground ahead, the rest of the step and of the cycle, the map thread and
+simulated sensors. All end up in the kernel cache, where the other process finds them.
 A service whose helper dies, or that cannot start one, compiles everything by itself. The helper dies with
 the service.
 """
@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from surffollow.forecast.adaptive_step import plan_period
 from surffollow.forecast.attitude import attitude
 from surffollow.forecast.step import adaptive_cycle, demand_z, find_targets, follow_step
 from surffollow.forecast.terrain import lookahead_sensor
@@ -123,15 +124,16 @@ class SideCompile:
 
 
 def compile_share() -> None:
-    """Compile the cycle without the most of the default follower, then the map thread, or find them in the cache.
+    """Compile the cycle without most of the default follower, then the map thread, or find them in the cache.
 
-    First what the service needs first: the stages for several sensors, which the default follower calls last, the
-    rest of the step, then the two halves of a cycle around the step.
+    First what the service needs first: stages that the default follower calls last, the rest of the step, then
+    the two halves of a cycle around the step.
     """
     cycle = make_cycle_memory()
     p, s, i, o = cycle.params[0], cycle.state[0], cycle.inputs[0], cycle.output[0]
     attitude.demand_rotation.part(types_of(p, s["adaptive"], s["sense"], o))
     lookahead_sensor.observe_lookahead.part(types_of(p, s["adaptive"], s["sense"], cycle.pose))
+    plan_period.part(types_of(p, s["adaptive"], i, 0, 0.0, 0.0))
     demand_z.part(types_of(p, s, i, o, 0.0, cycle.pose))
     find_targets.part(types_of(p, s, o, cycle.pose))
     take_inputs.part(types_of(cycle, 0))

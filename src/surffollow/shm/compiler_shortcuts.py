@@ -1,13 +1,15 @@
 """Spare numba what it does again for every statement of a kernel, with the same result.
 
-- numba keeps its types as classes with an abstract metaclass, whose `isinstance` runs in Python: three million times
-  in a cold start. No class is registered as a virtual subclass of one.
-- For `a[0]` numba first looks for an implementation of its own, of which arrays have none. It then reloads
-  all its registries and writes an error message with both types. Here a second search finds the first one's end.
-- Whether an implementation takes a `loc` is read from its signature for each use.
-- The context of an error is written down before each statement, by a generator.
-- Python (from 3.11) takes a function's frame from a chunk of 16 KiB. A call that needs the next chunk maps and unmaps
-  memory each time, and compiling recurses through many chunks.
+- numba keeps its types in classes with an abstract metaclass, whose `isinstance` runs in Python, three
+  million times in a cold start. No class is registered as a virtual subclass of one.
+- numba looks in several tables for what implements an operation. For each table without an entry it writes an
+  error message with all types, which nobody sees.
+- For `a[0]` it looks for an implementation of constant indices first. Arrays have none, so it loads all its
+  registries again. Here that is done once for each type.
+- Whether an implementation takes a `loc` is read from its signature at each use.
+- Before each statement a generator notes the context of a possible error.
+- Python (from 3.11) takes frames from chunks of 16 KiB. A call that needs the next chunk maps memory, and its
+  end unmaps it. Kernels that compile their callees recurse through many chunks.
 """
 
 from __future__ import annotations

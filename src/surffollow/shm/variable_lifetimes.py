@@ -32,7 +32,7 @@ def _run(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False
 
 @cache
 def _kind(of: type) -> type | None:
-    """What a value is for `_list`; asked once for each class, because `isinstance` of these runs in Python."""
+    """What values of a class are for `_list`, where `isinstance` of such classes would run in Python."""
     return next((kind for kind in (ir.Var, ir.Inst, dict, list, tuple) if issubclass(of, kind)), None)
 
 
