@@ -1,7 +1,7 @@
 """At a cold start, compile half of the kernels in a second process.
 
 The service compiles the default follower and the cycle's machine code. The helper compiles what the follower
-does with several sensors and with known ground ahead, the rest of the step and of the cycle, the map thread and
+does with several sensors and with known ground, the rest of the step and of the cycle, the map thread and
 simulated sensors. All end up in the kernel cache, where the other process finds them.
 A service whose helper dies, or that cannot start one, compiles everything by itself. The helper dies with
 the service.
@@ -124,9 +124,9 @@ class SideCompile:
 
 
 def compile_share() -> None:
-    """Compile the cycle without most of the default follower, then the map thread, or find them in the cache.
+    """Compile the cycle without most of the default follower, then the map thread, or find them kept.
 
-    First what the service needs first: stages that the default follower calls last, the rest of the step, then
+    First what the service needs first: stages that the default follower calls last, the rest of the step, and
     the two halves of a cycle around the step.
     """
     cycle = make_cycle_memory()
