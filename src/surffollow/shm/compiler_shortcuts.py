@@ -22,14 +22,20 @@ from typing import Any
 from numba.core import base, errors, lowering, typeinfer, types
 
 _Context: Any = base.BaseContext
+_Selector: Any = base.OverloadSelector
+_base: Any = base  # as `Any`: functions of these modules are replaced
+_errors: Any = errors
+_lowering: Any = lowering
+_typeinfer: Any = typeinfer
+_TypeClass: Any = type(types.Type)
 _get_ordinarily: Any = _Context.get_function
-_find_ordinarily: Any = base.OverloadSelector._find
-_has_loc_ordinarily: Any = base._has_loc
-_error_context: Any = errors.new_error_context
+_find_ordinarily: Any = _Selector._find
+_has_loc_ordinarily: Any = _base._has_loc
+_error_context: Any = _errors.new_error_context
 _missing: set[Any] = set()  # names of operations with types that have no implementation of their own
 _FRAME_WORDS = 66_000  # more than half a chunk of 1 MiB: the other half is for the calls
 
-types.Type.__class__.__instancecheck__ = type.__instancecheck__  # type: ignore[method-assign]
+_TypeClass.__instancecheck__ = type.__instancecheck__
 
 
 def _get_function(context: Any, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
@@ -89,13 +95,13 @@ def shortcuts() -> Iterator[Callable[[Callable[[], Any]], Any]]:
     if _Context.get_function is _get_function:  # a kernel that a kernel calls
         yield _call
         return
-    _Context.get_function, base.OverloadSelector._find = _get_function, _find
-    base._has_loc = lru_cache(1 << 12)(_has_loc_ordinarily)
-    lowering.new_error_context = typeinfer.new_error_context = _ErrorContext
+    _Context.get_function, _Selector._find = _get_function, _find
+    _base._has_loc = lru_cache(1 << 12)(_has_loc_ordinarily)
+    _lowering.new_error_context = _typeinfer.new_error_context = _ErrorContext
     try:
         yield _with_room
     finally:
-        _Context.get_function, base.OverloadSelector._find = _get_ordinarily, _find_ordinarily
-        base._has_loc = _has_loc_ordinarily
-        lowering.new_error_context = typeinfer.new_error_context = _error_context
+        _Context.get_function, _Selector._find = _get_ordinarily, _find_ordinarily
+        _base._has_loc = _has_loc_ordinarily
+        _lowering.new_error_context = _typeinfer.new_error_context = _error_context
         _missing.clear()

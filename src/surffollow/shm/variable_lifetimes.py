@@ -31,7 +31,7 @@ def _run(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False
 
 
 @cache
-def _kind(of: type) -> type | None:
+def _kind(of: Any) -> Any:
     """What values of a class are for `_list`, where `isinstance` of such classes would run in Python."""
     return next((kind for kind in (ir.Var, ir.Inst, dict, list, tuple) if issubclass(of, kind)), None)
 
@@ -41,7 +41,8 @@ def _list(part: Any, value: Any) -> Any:
     found, waiting = [], [value]
     while waiting:
         value = waiting.pop()
-        kind = _kind(type(value))
+        of: Any = type(value)
+        kind = _kind(of)
         if kind is ir.Var:
             found.append(value)
         elif kind is ir.Inst:
