@@ -32,7 +32,7 @@ def _run(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False
 
 @cache
 def _kind(of: Any) -> Any:
-    """What values of a class are for `_list`, where `isinstance` of such classes would run in Python."""
+    """The kind that `_list` takes values of a class for; `isinstance` of such classes runs in Python."""
     return next((kind for kind in (ir.Var, ir.Inst, dict, list, tuple) if issubclass(of, kind)), None)
 
 
