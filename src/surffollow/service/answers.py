@@ -8,7 +8,7 @@ from surffollow.service import memory as m
 from surffollow.shm import atomics as at
 from surffollow.shm import journal
 from surffollow.shm.cycle_log import log_append
-from surffollow.shm.jit import jit, jit_pasted
+from surffollow.shm.jit import jit_pasted, jit_uncounted
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.layout_board import (
@@ -30,7 +30,7 @@ def count(stats: Any, offset: Any, n: Any) -> None:
     at.store_relaxed_i64(stats + offset, at.load_relaxed_i64(stats + offset) + n)
 
 
-@jit
+@jit_uncounted
 def write_ack(latch: Any, ack: Any, request: Any, result: Any, detail: Any) -> None:
     """Publish the answer to a request.
 
@@ -47,7 +47,7 @@ def write_ack(latch: Any, ack: Any, request: Any, result: Any, detail: Any) -> N
     latch_write(latch, ack.ctypes.data, ACK_BYTES)
 
 
-@jit
+@jit_uncounted
 def params_hash(mem: Any) -> Any:
     """A number that other parameters do not have; never 0 (FNV-1a over words)."""
     h = _FNV_START
@@ -57,13 +57,13 @@ def params_hash(mem: Any) -> Any:
     return h | 1
 
 
-@jit
+@jit_uncounted
 def keep_params_hash(mem: Any) -> None:
     """Keep the hash of the parameters in force for the service's next start: a robot follows with them."""
     at.store_release_i64(mem.header.ctypes.data + _PARAMS_HASH, params_hash(mem))
 
 
-@jit
+@jit_uncounted
 def publish_params(mem: Any) -> None:
     """Publish the parameters in force, and keep their hash unless no robot has followed with any yet."""
     known = at.load_relaxed_i64(mem.header.ctypes.data + _PARAMS_HASH)
@@ -72,7 +72,7 @@ def publish_params(mem: Any) -> None:
     latch_write(mem.ctx[m.PARAMS_LATCH], mem.params.ctypes.data, _PARAMS_BYTES)
 
 
-@jit
+@jit_uncounted
 def log_params(mem: Any, t_ns: Any) -> None:
     """Write a PARAMS entry: in force from the next cycle on."""
     n = 2 + journal.PARAMS_WORDS
@@ -82,7 +82,7 @@ def log_params(mem: Any, t_ns: Any) -> None:
     log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, n)
 
 
-@jit
+@jit_uncounted
 def log_value(mem: Any, kind: Any, t_ns: Any, value: Any) -> None:
     """Write an entry of one float64, e.g. RESET.
 

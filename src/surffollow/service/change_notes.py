@@ -12,7 +12,7 @@ from typing import Any
 from surffollow.service import memory as m
 from surffollow.service.slot_inputs import claim_of
 from surffollow.shm import atomics as at
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.layout_board import (
     AUDIT_ENTRY_WORDS,
     ERR_BAD_VALUE,
@@ -43,7 +43,7 @@ _TEXT = AuditEntry.offset("text") // 8
 _OFFSET_WORD = Params.offset("offset_m") // 8
 
 
-@jit
+@jit_uncounted
 def param_value(mem: Any, word: Any) -> Any:
     """The value of a parameter in force, by its word; NaN where there is no such parameter."""
     if not 0 <= word < mem.bounds.shape[0] or mem.bounds[word, 0] == 0.0:
@@ -53,7 +53,7 @@ def param_value(mem: Any, word: Any) -> Any:
     return mem.param_floats[word]
 
 
-@jit
+@jit_uncounted
 def note_old_values(mem: Any) -> None:
     """Keep what the request in `mem.request` is about to change."""
     request = mem.request[0]
@@ -64,7 +64,7 @@ def note_old_values(mem: Any) -> None:
             mem.old_values[k] = param_value(mem, request.number[k])
 
 
-@jit
+@jit_uncounted
 def push_entry(mem: Any) -> None:
     """Queue the entry in `mem.audit`; a full queue is counted."""
     ctx = mem.ctx
@@ -75,7 +75,7 @@ def push_entry(mem: Any) -> None:
         at.store_relaxed_i64(lost, at.load_relaxed_i64(lost) + 1)
 
 
-@jit
+@jit_uncounted
 def fill_entry(mem: Any, slot: Any, claim: Any, code: Any, t_ns: Any, result: Any, detail: Any) -> None:
     """Fill `mem.audit` with who asked and what came of it; no parameter, no text.
 
@@ -102,7 +102,7 @@ def fill_entry(mem: Any, slot: Any, claim: Any, code: Any, t_ns: Any, result: An
     entry[_UID] = at.load_relaxed_i64(base + 8 * (m.UID + slot))
 
 
-@jit
+@jit_uncounted
 def note_change(mem: Any, slot: Any, t_ns: Any, result: Any, detail: Any) -> None:
     """Queue an entry for the request in `mem.request`, one per parameter where several were set.
 
@@ -137,7 +137,7 @@ def note_change(mem: Any, slot: Any, t_ns: Any, result: Any, detail: Any) -> Non
     push_entry(mem)
 
 
-@jit
+@jit_uncounted
 def note_stop(mem: Any, t_ns: Any, causes: Any) -> None:
     """Queue an entry for a stop that the service latched by itself."""
     fill_entry(mem, -1, 0, RQ_STOP, t_ns, OK, causes)

@@ -1,8 +1,8 @@
 """At a cold start, compile half of the kernels in a second process.
 
-The service compiles the default follower and the cycle's machine code; the helper the rest of the step and
-of the cycle, the map thread and simulated sensors. All end up in the kernel cache, where the other process
-finds them.
+The service compiles the default follower and the cycle's machine code. The helper compiles what the follower
+does with several sensors and with known ground, the rest of the step and of the cycle, the map thread and
+simulated sensors. All end up in the kernel cache, where the other process finds them.
 A service whose helper dies, or that cannot start one, compiles everything by itself. The helper dies with
 the service.
 """
@@ -22,7 +22,10 @@ from pathlib import Path
 
 import numpy as np
 
+from surffollow.forecast.adaptive_step import plan_period
+from surffollow.forecast.attitude import attitude
 from surffollow.forecast.step import adaptive_cycle, demand_z, find_targets, follow_step
+from surffollow.forecast.terrain import lookahead_sensor
 from surffollow.hw.simulation import simulated
 from surffollow.service.cycle import give_outputs, take_inputs
 from surffollow.service.mapper import run_map
@@ -121,13 +124,16 @@ class SideCompile:
 
 
 def compile_share() -> None:
-    """Compile the cycle without the default follower, then the map thread, or find them in the cache.
+    """Compile the cycle without most of the default follower, then the map thread, or find them kept.
 
-    First what the service needs first: the rest of the step when it has compiled the default follower, then
+    First what the service needs first: stages that the default follower calls last, the rest of the step, and
     the two halves of a cycle around the step.
     """
     cycle = make_cycle_memory()
     p, s, i, o = cycle.params[0], cycle.state[0], cycle.inputs[0], cycle.output[0]
+    attitude.demand_rotation.part(types_of(p, s["adaptive"], s["sense"], o))
+    lookahead_sensor.observe_lookahead.part(types_of(p, s["adaptive"], s["sense"], cycle.pose))
+    plan_period.part(types_of(p, s["adaptive"], i, 0, 0.0, 0.0))
     demand_z.part(types_of(p, s, i, o, 0.0, cycle.pose))
     find_targets.part(types_of(p, s, o, cycle.pose))
     take_inputs.part(types_of(cycle, 0))
@@ -139,7 +145,7 @@ def compile_share() -> None:
 def main(parent: int, with_sensors: bool = False) -> None:
     """The helper: ends with its parent, for any cause. One compiles at a time, the others load."""
     end_with_parent(parent)
-    gc.disable()  # a process that ends in 20 s: a tenth less time, and memory that it gives back at its end
+    gc.disable()  # a process that ends in 15 s: a tenth less time, and memory that it gives back at its end
     with open(Path(cache_directory(), ".compile_helper"), "a") as lock_file:
         with contextlib.suppress(OSError):
             fcntl.flock(lock_file, fcntl.LOCK_EX)

@@ -15,7 +15,7 @@ from surffollow.service import memory as m
 from surffollow.service.answers import count
 from surffollow.shm import atomics as at
 from surffollow.shm.conversion import ITEM_WORDS, conversion_channel
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.layout_board import Stats
 from surffollow.shm.layout_follow import MAX_CONVERSIONS
 from surffollow.shm.ring import ITEMS as RING_ITEMS
@@ -30,7 +30,7 @@ _SKIPPED = Stats.offset("conversions_skipped")
 _REFUSED = Stats.offset("conversions_refused")
 
 
-@jit
+@jit_uncounted
 def drain_conversions(mem: Any, t_ns: Any) -> None:
     """Take the conversions finished since the last cycle; the oldest beyond MAX_CONVERSIONS are skipped.
 
@@ -71,7 +71,7 @@ def drain_conversions(mem: Any, t_ns: Any) -> None:
         _watch_newest(ctx, dt_ns, t_ns)
 
 
-@jit
+@jit_uncounted
 def _watch_newest(ctx: Any, dt_ns: Any, t_ns: Any) -> None:
     """Note how far from now the newest conversion lies, when it does so in several cycles in a row."""
     if -OFF_NS < dt_ns < OFF_NS:

@@ -19,7 +19,7 @@ from surffollow.shm import atomics as at
 from surffollow.shm import journal
 from surffollow.shm.clock import now_ns, wait_until_ns
 from surffollow.shm.cycle_log import log_append
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_board import HISTOGRAM_BINS, Stats
 from surffollow.shm.layout_follow import Output
@@ -39,7 +39,7 @@ _EXECUTION_MAX = Stats.offset("execution_max_ns")
 _SAMPLES = Stats.offset("samples")
 
 
-@jit
+@jit_uncounted
 def histogram_bin(t_ns: Any) -> Any:
     """Bin of a duration: exact below 8 ns, then 8 bins per octave (`client.histogram_report` inverts it)."""
     if t_ns < 8:
@@ -50,7 +50,7 @@ def histogram_bin(t_ns: Any) -> Any:
     return min(octave * 8 + (t_ns >> octave), HISTOGRAM_BINS - 1)
 
 
-@jit
+@jit_uncounted
 def count_duration(stats: Any, histogram: Any, longest: Any, t_ns: Any) -> None:
     """Add one duration to a histogram and its maximum.
 
@@ -65,7 +65,7 @@ def count_duration(stats: Any, histogram: Any, longest: Any, t_ns: Any) -> None:
         at.store_relaxed_i64(stats + longest, t_ns)
 
 
-@jit
+@jit_uncounted
 def push_samples(mem: Any) -> None:
     """Hand every fresh target point to the map thread."""
     ctx, output, item = mem.ctx, mem.output[0], mem.item
@@ -82,7 +82,7 @@ def push_samples(mem: Any) -> None:
             at.store_relaxed_i64(lost, at.load_relaxed_i64(lost) + 1)
 
 
-@jit
+@jit_uncounted
 def log_snapshot(mem: Any, t_ns: Any) -> None:
     """Write a SNAPSHOT entry: parameters and state before this cycle."""
     entry = mem.entry
@@ -94,7 +94,7 @@ def log_snapshot(mem: Any, t_ns: Any) -> None:
     log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], entry.ctypes.data, journal.SNAPSHOT_WORDS)
 
 
-@jit
+@jit_uncounted
 def hand_report(mem: Any) -> None:
     """Give the pose that was just accepted to the simulated sensor, when there is one."""
     ctx, inputs = mem.ctx, mem.inputs[0]
@@ -104,7 +104,7 @@ def hand_report(mem: Any) -> None:
     ring_push(ctx[m.REPORTS], ctx[m.REPORTS_CAPACITY], REPORT_WORDS, mem.entry.ctypes.data)
 
 
-@jit
+@jit_uncounted
 def take_inputs(mem: Any, t_ns: Any) -> None:
     """The cycle before its step: requests first, then data."""
     ctx = mem.ctx
@@ -128,7 +128,7 @@ def take_inputs(mem: Any, t_ns: Any) -> None:
     fill_preview(mem)
 
 
-@jit
+@jit_uncounted
 def give_outputs(mem: Any, stop: Any, t_ns: Any) -> None:
     """The cycle after its step; `stop` are the causes of a stop before it."""
     ctx = mem.ctx
@@ -141,7 +141,7 @@ def give_outputs(mem: Any, stop: Any, t_ns: Any) -> None:
     count(ctx[m.STATS], _CYCLES, 1)
 
 
-@jit
+@jit_uncounted
 def one_cycle(mem: Any, t_ns: Any) -> None:
     """All of a cycle but the waiting."""
     take_inputs(mem, t_ns)
@@ -150,7 +150,7 @@ def one_cycle(mem: Any, t_ns: Any) -> None:
     give_outputs(mem, stop, t_ns)
 
 
-@jit
+@jit_uncounted
 def run_cycles(mem: Any, first_ns: Any, most_cycles: Any) -> Any:
     """Cycle until STOP is set, or `most_cycles` were run; the number of cycles.
 

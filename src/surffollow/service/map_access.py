@@ -15,7 +15,7 @@ from surffollow.service.mapper_memory import (
 from surffollow.service.pose_role import holder_is_gone
 from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.shm import atomics as at
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.layout_board import ACCESS_FREE, ACCESS_GRANTED, ACCESS_REQUESTED, CLIENTS
 from surffollow.shm.layout_slot import SLOT_HEAD, SlotHead
 from surffollow.shm.ring import ring_length
@@ -23,7 +23,7 @@ from surffollow.shm.ring import ring_length
 _ACCESS = SLOT_HEAD + SlotHead.offset("access")
 
 
-@jit
+@jit_uncounted
 def end_access(mem: Any, t_ns: Any) -> None:
     """Step 4, or the fence: go on when the holder is done, dead or late.
 
@@ -45,7 +45,7 @@ def end_access(mem: Any, t_ns: Any) -> None:
     publish_status(mem, t_ns)
 
 
-@jit
+@jit_uncounted
 def reopen_access(mem: Any, t_ns: Any) -> None:
     """Lift the fence off slots whose flag came down or that belong to another client by now."""
     ctx, s = mem.ctx, mem.status[0]
@@ -63,7 +63,7 @@ def reopen_access(mem: Any, t_ns: Any) -> None:
         publish_status(mem, t_ns)
 
 
-@jit
+@jit_uncounted
 def watch_access(mem: Any, t_ns: Any) -> None:
     """The four-step flag: 1 requested → 2 granted → 3 done → 0; slots take turns.
 

@@ -29,7 +29,7 @@ from surffollow.service.requests import may_change
 from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_board import (
     ERR_BAD_REGION,
@@ -52,7 +52,7 @@ SLICE_GRIDS = 100_000  # per look at the flags: 0.1 to 1 ms
 _REFOCUSING, _INSTALLING = ml.REFOCUSING, ml.INSTALLING
 
 
-@jit
+@jit_uncounted
 def publish_status(mem: Any, t_ns: Any) -> None:
     """Publish the state of the map."""
     ctx, s, header = mem.ctx, mem.status[0], mem.header[0]
@@ -64,7 +64,7 @@ def publish_status(mem: Any, t_ns: Any) -> None:
     latch_write(ctx[m.MAP_STATUS], mem.status.ctypes.data, _STATUS_BYTES)
 
 
-@jit
+@jit_uncounted
 def finish_job(mem: Any, result: Any) -> None:
     """Answer the request under way and free its slot for the next."""
     job, ctx = mem.job, mem.ctx
@@ -78,7 +78,7 @@ def finish_job(mem: Any, result: Any) -> None:
     job[JOB_SLOT] = -1
 
 
-@jit
+@jit_uncounted
 def refusal(begun: Any) -> Any:
     """Answer to a client for the map's result at the start of an operation; `OK`: it goes on."""
     if begun == ml.OK:
@@ -94,7 +94,7 @@ def refusal(begun: Any) -> Any:
     return ERR_MAP_BUSY
 
 
-@jit
+@jit_uncounted
 def begin_job(mem: Any) -> None:
     """Start the request at the head of the queue (in `mem.item`)."""
     ctx, job = mem.ctx, mem.job
@@ -120,7 +120,7 @@ def begin_job(mem: Any) -> None:
         finish_job(mem, answer)
 
 
-@jit
+@jit_uncounted
 def step_job(mem: Any, t_ns: Any) -> Any:
     """One slice of the map operation under way; 0 when it waits for its client."""
     operation = mem.header[0].journal_op
@@ -146,7 +146,7 @@ def step_job(mem: Any, t_ns: Any) -> Any:
     return 1
 
 
-@jit
+@jit_uncounted
 def end_job(mem: Any) -> None:
     """Carry the operation under way to its end; an installation is given up."""
     while mem.job[JOB_SLOT] != -1:
@@ -157,7 +157,7 @@ def end_job(mem: Any) -> None:
         step_job(mem, now_ns())
 
 
-@jit
+@jit_uncounted
 def recover(mem: Any) -> None:
     """Take up the operation that a dead service left; an installation cannot be completed."""
     operation = mem.header[0].journal_op

@@ -11,7 +11,7 @@ from typing import Any
 from surffollow.forecast.terrain.preview_schedule import preview_window
 from surffollow.forecast.terrain.terrain_buffer import bridge_gaps, longest_hole_m
 from surffollow.map.kernels.preview_line import grid_width, heights_along
-from surffollow.shm.jit import jit, jit_pasted
+from surffollow.shm.jit import jit_pasted, jit_uncounted
 from surffollow.shm.layout_follow import MAX_PREVIEW, MODE_ADAPTIVE
 
 # of the reference length: coarser grids blur what a plan would be for
@@ -19,7 +19,7 @@ COARSEST_M = 5.08e-3
 PER_GRID = 2.0
 
 
-@jit
+@jit_uncounted
 def look_ahead(mem: Any) -> None:
     """Set n_preview, preview_from_m, preview_step_m and preview_m of the coming cycle's inputs."""
     due, x, y, ux, uy, first, last = preview_window(mem.params, mem.state, mem.inputs)

@@ -17,7 +17,7 @@ from surffollow.service.mapper_memory import (
 )
 from surffollow.shm import atomics as at
 from surffollow.shm.clock import now_ns, sleep_until_ns
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.layout_board import (
     ACCESS_FREE,
     ACCESS_GRANTED,
@@ -29,7 +29,7 @@ IDLE_NS = 500_000
 STREAM_IDLE_NS = 50_000  # between looks for the next piece of a map that is being installed
 
 
-@jit
+@jit_uncounted
 def drain_samples(mem: Any) -> Any:
     """Apply queued samples up to the next request; the number of items taken."""
     ctx, item, floats, s = mem.ctx, mem.item, mem.item_floats, mem.status[0]
@@ -47,7 +47,7 @@ def drain_samples(mem: Any) -> Any:
     return taken
 
 
-@jit
+@jit_uncounted
 def map_pass(mem: Any, t_ns: Any) -> Any:
     """One look around; 1 when there was something to do."""
     reopen_access(mem, t_ns)
@@ -60,7 +60,7 @@ def map_pass(mem: Any, t_ns: Any) -> Any:
     return 1 if drain_samples(mem) > 0 else 0
 
 
-@jit
+@jit_uncounted
 def run_map(mem: Any) -> None:
     """Serve the map until STOP is set; then apply what is still queued and end."""
     ctx = mem.ctx

@@ -28,7 +28,7 @@ from surffollow.service.slot_inputs import slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm import map_layout as ml
 from surffollow.shm.clock import now_ns
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.latch import latch_write
 from surffollow.shm.latch_shape import latch_bytes
 from surffollow.shm.layout_board import ACCEPTED, RQ_MAP_INSTALL, Ack
@@ -41,13 +41,13 @@ NS_PER_GRID = 2000
 NOTHING, TAKEN, WHOLE, FAILED = range(4)
 
 
-@jit
+@jit_uncounted
 def _announced(mem: Any) -> Any:
     """Numbers of the request under way: region, then the map's."""
     return mem.ctx.ctypes.data + 8 * (m.REGION + mem.job[JOB_SLOT] * m.REGION_WORDS)
 
 
-@jit
+@jit_uncounted
 def _announced_grids(mem: Any) -> Any:
     """Columns, rows, side of a grid, corner, datum and quantum of the announced map."""
     f, i = at.load_relaxed_f64, at.load_relaxed_i64
@@ -55,7 +55,7 @@ def _announced_grids(mem: Any) -> Any:
     return i(w + 40), i(w + 48), f(w), f(w + 8), f(w + 16), f(w + 24), f(w + 32)
 
 
-@jit
+@jit_uncounted
 def _acknowledge(mem: Any, taken: Any) -> None:
     """Report to the client that it is its turn, and how many grids were taken."""
     a, job = mem.ack[0], mem.job
@@ -64,7 +64,7 @@ def _acknowledge(mem: Any, taken: Any) -> None:
     latch_write(mem.ctx[m.MAP_ACKS] + job[JOB_SLOT] * _ACK_STEP, mem.ack.ctypes.data, _ACK_BYTES)
 
 
-@jit
+@jit_uncounted
 def _is_early(mem: Any) -> Any:
     """Whether the first piece lies there uncalled for: it is unknown whether its client still runs."""
     i, job = at.load_acquire_i64, mem.job
@@ -74,7 +74,7 @@ def _is_early(mem: Any) -> Any:
     return i(half) == 1 and i(half + 8) == job[JOB_COUNTER] and i(half + 16) == job[JOB_CLAIM]
 
 
-@jit
+@jit_uncounted
 def begin_install(mem: Any) -> Any:
     """Check the numbers of the announced map and call for its first piece; the map is untouched.
 
@@ -89,14 +89,14 @@ def begin_install(mem: Any) -> Any:
     return answer
 
 
-@jit
+@jit_uncounted
 def awaits_first_piece(mem: Any) -> Any:
     """Whether an installation is under way that has not begun: the old map is whole."""
     job = mem.job
     return job[JOB_SLOT] >= 0 and job[JOB_CODE] == RQ_MAP_INSTALL and mem.header[0].journal_op == 0
 
 
-@jit
+@jit_uncounted
 def _open_install(mem: Any) -> Any:
     """Let the old map go: the first piece is here; whether the map library agrees."""
     f, i = at.load_relaxed_f64, at.load_relaxed_i64
@@ -112,7 +112,7 @@ def _open_install(mem: Any) -> Any:
     return True
 
 
-@jit
+@jit_uncounted
 def take_piece(mem: Any) -> Any:
     """Install the next piece when it is there; NOTHING, TAKEN, WHOLE or FAILED."""
     ctx, job, piece, w = mem.ctx, mem.job, mem.piece, mem.header[0]
@@ -146,7 +146,7 @@ def take_piece(mem: Any) -> Any:
     return WHOLE
 
 
-@jit
+@jit_uncounted
 def step_install(mem: Any, t_ns: Any) -> Any:
     """Go on with the installation; NOTHING, TAKEN, WHOLE or FAILED.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from surffollow.config.window_fit import FITTED, MISFITS, misfit
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.layout_follow import Params
 
 OFFSET_WORD = Params.offset("offset_m") // 8
@@ -17,7 +17,7 @@ _FIT_WORDS = np.array([Params.offset(name) // 8 for name in FITTED])
 _FAULT_WORDS = np.array([Params.offset(name) // 8 for name, _ in MISFITS])
 
 
-@jit
+@jit_uncounted
 def in_bounds(bounds: Any, word: Any, value: Any) -> Any:
     """Whether a parameter word may have this value."""
     if not 0 <= word < bounds.shape[0] or bounds[word, 0] == 0.0:
@@ -27,13 +27,13 @@ def in_bounds(bounds: Any, word: Any, value: Any) -> Any:
     return bounds[word, 0] == 1.0 or value == float(int(value))
 
 
-@jit
+@jit_uncounted
 def within_limits(bounds: Any, word: Any, value: Any) -> Any:
     """Whether the configuration ([limits]) lets a client give a parameter this value."""
     return bounds[word, 3] <= value <= bounds[word, 4]
 
 
-@jit
+@jit_uncounted
 def requested_value(mem: Any, word: Any) -> Any:
     """Value of a float parameter after the request."""
     request, value = mem.request[0], mem.param_floats[word]
@@ -46,7 +46,7 @@ def requested_value(mem: Any, word: Any) -> Any:
 register_jitable(misfit)  # a kernel would be named by its module, where it is a function of Python
 
 
-@jit
+@jit_uncounted
 def contradiction_after(mem: Any) -> Any:
     """Word of the parameter at fault when parameters do not fit each other after the request, else -1."""
     found = misfit(
@@ -59,7 +59,7 @@ def contradiction_after(mem: Any) -> Any:
     return _FAULT_WORDS[found] if found >= 0 else -1
 
 
-@jit
+@jit_uncounted
 def standoff_fits(mem: Any, offset_m: Any) -> Any:
     """Whether a stand-off [m] fits the parameters in force."""
     p = mem.param_floats

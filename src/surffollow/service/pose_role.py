@@ -10,19 +10,19 @@ from surffollow.service.change_notes import note_stop
 from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.service.stop_latch import holder_pid, stop_for
 from surffollow.shm import atomics as at
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.layout_board import ERR_NOT_HOLDER, ERR_POSE_HELD, OK, RQ_RELEASE_POSE
 from surffollow.shm.layout_follow import STOP_POSE_LOST
 from surffollow.shm.layout_slot import SLOT_POSE
 
 
-@jit
+@jit_uncounted
 def holder_is_gone(ctx: Any, slot: Any, claim: Any) -> Any:
     """Whether who held something through this slot died or let go of it, from the kernel."""
     return claim_of(ctx, slot) != claim
 
 
-@jit
+@jit_uncounted
 def drop_dead_pose_writer(mem: Any, t_ns: Any) -> None:
     """Free the pose when its writer died or closed; where configured, stop."""
     ctx = mem.ctx
@@ -35,7 +35,7 @@ def drop_dead_pose_writer(mem: Any, t_ns: Any) -> None:
             note_stop(mem, t_ns, causes)
 
 
-@jit
+@jit_uncounted
 def do_pose_role(mem: Any, slot: Any, code: Any) -> Any:
     """CLAIM_POSE and RELEASE_POSE; (result, pid of the holder)."""
     ctx, claim = mem.ctx, claim_of(mem.ctx, slot)

@@ -9,7 +9,7 @@ from surffollow.hw.pushed_ranges import PushedRanges, take_pushed
 from surffollow.service import memory as m
 from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.shm import atomics as at
-from surffollow.shm.jit import jit, jit_pasted
+from surffollow.shm.jit import jit_pasted, jit_uncounted
 from surffollow.shm.layout_board import (
     CLIENTS,
     ERR_NO_CHANNEL,
@@ -35,7 +35,7 @@ def any_held(ctx: Any) -> Any:
     return ctx[m.RANGES_HELD] != 0
 
 
-@jit
+@jit_uncounted
 def _hold(mem: Any, channel: Any, slot: Any, t_ns: Any) -> None:
     """Give a channel to a slot, -1: to none."""
     ctx = mem.ctx
@@ -49,7 +49,7 @@ def _hold(mem: Any, channel: Any, slot: Any, t_ns: Any) -> None:
     at.store_release_i64(mem.pushed.ctypes.data + _CLAIMED + 8 * channel, since)
 
 
-@jit
+@jit_uncounted
 def channels_of(ctx: Any, slot: Any) -> Any:
     """Bit per channel that the client in this slot pushes."""
     held = 0
@@ -59,14 +59,14 @@ def channels_of(ctx: Any, slot: Any) -> Any:
     return held
 
 
-@jit
+@jit_uncounted
 def may_push(ctx: Any, slot: Any) -> Any:
     """Whether this client's user may push ranges, which move the robot (access.ranges)."""
     user = at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.UID + slot))
     return user in (0, ctx[m.OWN_USER], ctx[m.RANGES_BY]) or ctx[m.RANGES_BY] == ANY_USER
 
 
-@jit
+@jit_uncounted
 def do_range_role(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     """CLAIM_RANGE and RELEASE_RANGE; (result, pid of the holder or number of channels).
 
@@ -101,7 +101,7 @@ def do_range_role(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     return OK, 0
 
 
-@jit
+@jit_uncounted
 def drop_dead_range_holders(mem: Any, t_ns: Any) -> None:
     """Free the channels whose clients died or closed, from the kernel."""
     ctx = mem.ctx
@@ -112,12 +112,12 @@ def drop_dead_range_holders(mem: Any, t_ns: Any) -> None:
             _hold(mem, c, -1, t_ns)
 
 
-@jit
+@jit_uncounted
 def _count(stats: Any, offset: Any, n: Any) -> None:
     at.store_relaxed_i64(stats + offset, at.load_relaxed_i64(stats + offset) + n)
 
 
-@jit
+@jit_uncounted
 def drain_ranges(mem: Any, t_ns: Any) -> None:
     """Take what the holders pushed: in all no more than a cycle takes conversions, each an equal share."""
     ctx = mem.ctx

@@ -23,7 +23,7 @@ from surffollow.shm import atomics as at
 from surffollow.shm import journal
 from surffollow.shm import map_layout as ml
 from surffollow.shm.cycle_log import log_append
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.layout_board import (
     ACCEPTED,
     CLIENTS,
@@ -58,7 +58,7 @@ _QUANTUM_PER_STANDOFF = ml.QUANTUM_PER_STANDOFF
 _MAX_SIDE_M = ml.MAX_REGION_M
 
 
-@jit
+@jit_uncounted
 def do_set_params(mem: Any, t_ns: Any) -> Any:
     """Set all parameters of the request, or none; (result, number of the bad one)."""
     request = mem.request[0]
@@ -84,7 +84,7 @@ def do_set_params(mem: Any, t_ns: Any) -> Any:
     return OK, 0
 
 
-@jit
+@jit_uncounted
 def may_change(ctx: Any, slot: Any, claim: Any, policy: Any) -> Any:
     """Whether this client may change what `policy` governs (access.parameters, access.map).
 
@@ -103,7 +103,7 @@ def may_change(ctx: Any, slot: Any, claim: Any, policy: Any) -> Any:
     return driver == slot and at.load_relaxed_i64(base + 8 * m.POSE_CLAIM) == claim
 
 
-@jit
+@jit_uncounted
 def region_ok(request: Any) -> Any:
     """Whether the request's four values are a region."""
     v = request.value
@@ -113,14 +113,14 @@ def region_ok(request: Any) -> Any:
     return 0.0 < v[2] - v[0] <= _MAX_SIDE_M and 0.0 < v[3] - v[1] <= _MAX_SIDE_M
 
 
-@jit
+@jit_uncounted
 def quantum_of(mem: Any) -> Any:
     """Height of one count for a MapReset now [m]: configured, or in proportion to the stand-off in force."""
     given_m = at.load_relaxed_f64(mem.ctx.ctypes.data + 8 * m.QUANTUM)
     return given_m if given_m > 0.0 else _QUANTUM_PER_STANDOFF * mem.params[0].offset_m
 
 
-@jit
+@jit_uncounted
 def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     """Queue a map request behind the samples taken so far; (result, detail).
 
@@ -160,7 +160,7 @@ def do_map_request(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     return ACCEPTED, 0
 
 
-@jit
+@jit_uncounted
 def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     """Carry out the request in `mem.request`; (result, detail)."""
     code, claim = mem.request[0].code, claim_of(mem.ctx, slot)
@@ -193,7 +193,7 @@ def answer(mem: Any, slot: Any, t_ns: Any) -> Any:
     return ERR_UNKNOWN_REQUEST, 0
 
 
-@jit
+@jit_uncounted
 def answer_slot(mem: Any, slot: Any, t_ns: Any) -> None:
     """Answer the request of a slot when it is new."""
     ctx = mem.ctx
@@ -213,7 +213,7 @@ def answer_slot(mem: Any, slot: Any, t_ns: Any) -> None:
     write_ack(ctx[m.ACKS] + slot * ACK_STEP, mem.ack, mem.request, result, detail)
 
 
-@jit
+@jit_uncounted
 def process_requests(mem: Any, t_ns: Any) -> None:
     """Look at every held slot once and answer what is new."""
     ctx = mem.ctx

@@ -7,7 +7,7 @@ from typing import Any
 from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
 from surffollow.service import memory as m
 from surffollow.shm import atomics as at
-from surffollow.shm.jit import jit, jit_pasted
+from surffollow.shm.jit import jit_pasted, jit_uncounted
 from surffollow.shm.latch import latch_read
 from surffollow.shm.layout_follow import POSES
 from surffollow.shm.layout_slot import SLOT_BYTES, SLOT_POSE, SLOT_REQUEST, PosePost, RequestPost
@@ -29,7 +29,7 @@ def claim_of(ctx: Any, slot: Any) -> Any:
     return at.load_acquire_i64(ctx.ctypes.data + 8 * (m.CLAIM + slot))
 
 
-@jit
+@jit_uncounted
 def check_pose(post: Any, now_ns: Any, oldest_ns: Any, pose: Any) -> Any:
     """Check and normalise a copied pose into `pose`.
 
@@ -62,7 +62,7 @@ def check_pose(post: Any, now_ns: Any, oldest_ns: Any, pose: Any) -> Any:
     return POSE_OK
 
 
-@jit
+@jit_uncounted
 def read_pose(mem: Any, now_ns: Any) -> Any:
     """Take a new pose of the pose writer into the cycle's inputs.
 
@@ -99,7 +99,7 @@ def read_pose(mem: Any, now_ns: Any) -> Any:
     return POSE_OK
 
 
-@jit
+@jit_uncounted
 def new_request(mem: Any, slot: Any) -> Any:
     """Copy a slot's request when it changed; 1: `mem.request` holds a new one, 0: nothing, -1: torn."""
     ctx = mem.ctx

@@ -12,7 +12,7 @@ from surffollow.service.slot_inputs import claim_of, slot_address
 from surffollow.shm import atomics as at
 from surffollow.shm import journal
 from surffollow.shm.cycle_log import log_append
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.layout_board import ERR_NOT_POSE_HOLDER, ERR_STOP_REMAINS, OK, RQ_STOP
 from surffollow.shm.layout_follow import STOP_REQUEST
 from surffollow.shm.layout_slot import SLOT_HEAD, STOP_WORD, SlotHead
@@ -22,7 +22,7 @@ _KEPT = MapHeader.offset("stop")
 _STOP_WORD = SLOT_HEAD + SlotHead.offset("stop")
 
 
-@jit
+@jit_uncounted
 def log_stop(mem: Any, t_ns: Any, causes: Any) -> None:
     """Write a STOP entry: causes latched before the next cycle, 0: reset."""
     mem.entry[0], mem.entry[1] = journal.entry_head(journal.STOP, 3), t_ns
@@ -30,7 +30,7 @@ def log_stop(mem: Any, t_ns: Any, causes: Any) -> None:
     log_append(mem.ctx[m.LOG], mem.ctx[m.LOG_CAPACITY], mem.entry.ctypes.data, 3)
 
 
-@jit
+@jit_uncounted
 def keep_word(mem: Any) -> None:
     """Store the causes where the service's next start finds them."""
     kept = mem.header.ctypes.data + _KEPT
@@ -38,7 +38,7 @@ def keep_word(mem: Any) -> None:
         at.store_release_i64(kept, mem.state[0].stop)
 
 
-@jit
+@jit_uncounted
 def stop_for(mem: Any, t_ns: Any, causes: Any) -> None:
     """Latch causes that are not latched yet; the configuration chose them, or a client asked."""
     fresh = causes & ~mem.state[0].stop
@@ -48,7 +48,7 @@ def stop_for(mem: Any, t_ns: Any, causes: Any) -> None:
         log_stop(mem, t_ns, fresh)
 
 
-@jit
+@jit_uncounted
 def apply_stop_word(mem: Any, slot: Any, t_ns: Any) -> None:
     """Stop when a client has stored a new stop word: it waits for no answer and for no turn."""
     ctx = mem.ctx
@@ -62,14 +62,14 @@ def apply_stop_word(mem: Any, slot: Any, t_ns: Any) -> None:
         push_entry(mem)
 
 
-@jit
+@jit_uncounted
 def asked_causes(mem: Any) -> Any:
     """Causes that the main thread sees now and that the configuration names."""
     asked = at.load_acquire_i64(mem.ctx.ctypes.data + 8 * m.STOP_ASKED)
     return asked & mem.params[0].stop_on
 
 
-@jit
+@jit_uncounted
 def stop_as_asked(mem: Any, t_ns: Any) -> None:
     """Latch what the main thread found, e.g. a driver's fault."""
     causes = asked_causes(mem) & ~mem.state[0].stop
@@ -78,7 +78,7 @@ def stop_as_asked(mem: Any, t_ns: Any) -> None:
         note_stop(mem, t_ns, causes)
 
 
-@jit
+@jit_uncounted
 def holder_pid(ctx: Any) -> Any:
     """The process that sends the pose; 0: none."""
     slot = ctx[m.POSE_SLOT]
@@ -87,7 +87,7 @@ def holder_pid(ctx: Any) -> Any:
     return at.load_relaxed_i64(ctx.ctypes.data + 8 * (m.PID + slot))
 
 
-@jit
+@jit_uncounted
 def do_stop(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     """RQ_STOP of any client, RQ_STOP_RESET of the pose's holder; (result, causes or the holder's pid).
 
@@ -114,7 +114,7 @@ def do_stop(mem: Any, slot: Any, code: Any, t_ns: Any) -> Any:
     return OK, 0
 
 
-@jit
+@jit_uncounted
 def keep_stop(mem: Any, before: Any, t_ns: Any) -> None:
     """After a cycle: report the causes that it latched, and keep the word for the service's next start.
 

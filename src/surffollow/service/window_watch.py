@@ -20,13 +20,13 @@ from surffollow.shm.conversion import (
     conversion_counts,
     conversion_flags,
 )
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 from surffollow.shm.layout_follow import CHANNELS
 
 NOTED_RUN = 10  # distances in a row outside the window that are no single stray ones
 
 
-@jit
+@jit_uncounted
 def watch_window(mem: Any) -> None:
     """Count this cycle's distances outside the window, per channel, since the last one inside.
 

@@ -18,6 +18,7 @@ from numba.core.errors import UnsupportedError
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.typeof import typeof
 
+from surffollow.shm.compiler_shortcuts import shortcuts
 from surffollow.shm.kernel_cache import KernelCache, cache_of, note_source
 from surffollow.shm.kernel_library import PartLibrary, WholeLibrary
 from surffollow.shm.kernel_pipeline import KernelPipeline
@@ -133,8 +134,13 @@ class Kernel(CPUDispatcher):
                 self._compiling = True
                 try:
                     compiling = event.trigger_event("numba:compile", data=about)
-                    with compiling, remembered(self.typingctx), lifetimes_when_used():
-                        part = self._compile_part(args, tag)
+                    with (
+                        compiling,
+                        remembered(self.typingctx),
+                        lifetimes_when_used(),
+                        shortcuts() as compile_in,
+                    ):
+                        part = compile_in(lambda: self._compile_part(args, tag))
                 finally:
                     self._compiling = False
                 self._add_part(part, tag)

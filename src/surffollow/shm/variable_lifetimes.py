@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 from numba.core import ir, postproc, transforms
@@ -16,7 +17,6 @@ _Processor: Any = postproc.PostProcessor
 _Part: Any = ir.Inst
 _run_ordinarily: Any = _Processor.run
 _list_ordinarily: Any = _Part._rec_list_vars
-_NO_VARIABLES = (ir.Loc, str, int, bool, type(None))
 
 
 def _run(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
@@ -30,17 +30,28 @@ def _run(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False
     function.generator_info = None
 
 
+@cache
+def _kind(of: Any) -> Any:
+    """The kind that `_list` takes values of a class for; `isinstance` of such classes runs in Python."""
+    return next((kind for kind in (ir.Var, ir.Inst, dict, list, tuple) if issubclass(of, kind)), None)
+
+
 def _list(part: Any, value: Any) -> Any:
     """As numba's `Inst._rec_list_vars`, which asks of each value what it is, places in files included."""
-    if isinstance(value, ir.Var):
-        return [value]
-    if isinstance(value, ir.Inst):
-        return value.list_vars()
-    if isinstance(value, dict):
-        value = value.values()
-    elif not isinstance(value, (list, tuple)):
-        return []
-    return [v for inner in value if type(inner) not in _NO_VARIABLES for v in _list(part, inner)]
+    found, waiting = [], [value]
+    while waiting:
+        value = waiting.pop()
+        of: Any = type(value)
+        kind = _kind(of)
+        if kind is ir.Var:
+            found.append(value)
+        elif kind is ir.Inst:
+            found += value.list_vars()
+        elif kind is dict:
+            waiting += reversed(value.values())
+        elif kind is not None:
+            waiting += reversed(value)
+    return found
 
 
 @contextlib.contextmanager
