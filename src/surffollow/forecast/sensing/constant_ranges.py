@@ -11,6 +11,7 @@ from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, SLOW_RATE
 from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.forecast.sensing.repeated_ranges import is_repeated
+from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.shm import layout_adaptive_sensing as layout
 from surffollow.shm.jit import jit
 
@@ -121,7 +122,7 @@ def sign_of_fault(adaptive, motion_m, sunk_m):
     """
     run, lag_s, band_m = adaptive.run, adaptive.plant.tau_s, mean_range.range_band_m(adaptive)
     number = mean_range.mean_samples(adaptive)
-    if number <= mean_range.MIN_READINGS:  # over falling ground the tool is late by part of the interval
+    if is_slow(adaptive):  # over falling ground the tool is late by part of the interval
         lag_s += LEVEL_SHARE / mean_range.LAG_TAUS * adaptive.hold.interval_s
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M

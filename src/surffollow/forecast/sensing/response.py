@@ -15,6 +15,7 @@ from surffollow.forecast.sensing import constant_ranges, mean_range
 from surffollow.forecast.sensing.constant_ranges import ANSWER_TAUS, MAX_DESCENT, MIN_MEANS, MOTION_BANDS
 from surffollow.forecast.sensing.kinematics import path_speed
 from surffollow.forecast.sensing.repeated_ranges import count_repeats, is_repeated
+from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.shm import layout_adaptive_sensing as layout
 from surffollow.shm.jit import jit, jit_inlined
 
@@ -96,7 +97,7 @@ def _update_run(params, adaptive, tool_z_m):
     descent, ascent = constant_ranges.observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
     sunk_m, ascent = descent - ascent, ASCENT_SHARE * ascent
     rises = ascent > descent and descent < band_m  # it has not turned down since
-    sparse = number <= mean_range.MIN_READINGS  # the ground changes while an answer is awaited
+    sparse = is_slow(adaptive)  # the ground changes while an answer is awaited
     repeated = is_repeated(adaptive.repeats)
     sign = constant_ranges.sign_of_fault(adaptive, ascent if rises else descent, sunk_m)
     if run.mean_m < params.offset_m + max(band_m, mean_range.LAG_TAUS * tau_s * run.rate_mps):
