@@ -2,6 +2,7 @@
 
 from surffollow.forecast.attitude.rotation_response import reset_rotation
 from surffollow.forecast.estimation.estimate import discard_estimate
+from surffollow.forecast.sensing.constant_ranges import forget_slopes
 from surffollow.forecast.sensing.response import restart_test
 from surffollow.forecast.setpoint.setpoint_limits import release_setpoint
 from surffollow.forecast.terrain.preview import withdraw_preview
@@ -56,6 +57,7 @@ def forget_surface(state):
     adaptive.estimate.confirmed_ns = 0  # the loss time-out counts from the next sample
     # the tests of the sensor begin anew with the next sample; the usual number of repeated ranges stays
     restart_test(adaptive.response)
+    forget_slopes(adaptive.run)
     adaptive.repeats.count = adaptive.repeats.unused = adaptive.descent.unexplained = 0
     adaptive.frame.phase, adaptive.frame.begun_ns = FRAME_UNKNOWN, 0
     reset_rotation(adaptive.rotation)

@@ -139,6 +139,7 @@ class ConstantRanges(Schema):
     mean_slope = F64(doc="mean slope of the ground lately")
     steady_slope = F64(doc="mean slope along the path when the run began")
     path_slope = F64(doc="mean slope along the path lately")
+    travel_m = F64(unit="m", doc="distance travelled since the run began")
     top_z_m = F64(unit="m", doc="greatest height of the tool in the run")
     low_z_m = F64(unit="m", doc="least height of the tool in the run")
     rate_mps = F64(unit="m/s", doc="mean rate at which it rose or descended in the run")

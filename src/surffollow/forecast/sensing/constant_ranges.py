@@ -9,7 +9,7 @@ with a sign of a fault is tested (`response`).
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
 from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, SLOW_RATE
 from surffollow.forecast.sensing import mean_range
-from surffollow.forecast.sensing.kinematics import path_speed
+from surffollow.forecast.sensing.kinematics import is_at_rest, path_speed
 from surffollow.forecast.sensing.repeated_ranges import is_repeated
 from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.shm import layout_adaptive_sensing as layout
@@ -33,11 +33,23 @@ def begin_run(params, adaptive, tool_z_m, range_m):
     """Begin a run of ranges with this mean, over the present slope, for this stand-off."""
     run = adaptive.run
     run.slope, run.lasting_slope = adaptive.estimate.slope, run.mean_slope
-    run.steady_slope = run.path_slope
+    run.steady_slope, run.travel_m = run.path_slope, 0.0
     run.standoff_m = params.offset_m
     run.range_m, run.mean_m, run.samples, run.rate_mps = range_m, range_m, 0, 0.0
     run.top_z_m = run.low_z_m = tool_z_m
     run.band_m = mean_range.range_band_m(adaptive)
+
+
+@jit
+def turn_back(run):
+    """Turn the slopes along the path with the direction of travel."""
+    run.path_slope, run.steady_slope = -run.path_slope, -run.steady_slope
+
+
+@jit
+def forget_slopes(run):
+    """Over other ground its slope along the path is not known."""
+    run.path_slope = run.steady_slope = 0.0
 
 
 @jit
@@ -70,8 +82,10 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
     run.samples += 1
     rate = min(1.0, adaptive.hold.interval_s / (ANSWER_TAUS * adaptive.plant.tau_s))
     run.mean_slope += rate * (adaptive.estimate.slope - run.mean_slope)
-    share = min(1.0, path_speed(adaptive.kinematics) * adaptive.hold.interval_s / STEADY_M)
-    run.path_slope += share * (adaptive.estimate.slope - run.path_slope)
+    if not is_at_rest(adaptive.kinematics):
+        travel_m = adaptive.kinematics.speed_mps * adaptive.hold.interval_s
+        run.travel_m += travel_m
+        run.path_slope += min(1.0, travel_m / STEADY_M) * (adaptive.estimate.slope - run.path_slope)
     # its own mean is the better known one, but in the test of a descent the middle of a spread is
     if adaptive.response.swing_m == 0.0 and number < run.samples < mean_range.RUN_SAMPLES:
         run.range_m += (run.mean_m - run.range_m) / run.samples
@@ -129,13 +143,12 @@ def sign_of_fault(adaptive, motion_m, sunk_m):
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
     unusual = error_m > USUAL_ERRORS * run.error_m
     suspicious = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
-    travel_m = path_speed(adaptive.kinematics) * run.samples * adaptive.hold.interval_s
     grave = (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == layout.ROTATION_FAILED
     hides = motion_m <= MOTION_BANDS * band_m  # in the noise
     if grave and not hides:
         return layout.SIGN_FOR_HOLD
     # ground that rose steadily before the run may rise on
-    rise_m = max(run.steady_slope, 0.0) * min(travel_m, STEADY_M)
+    rise_m = max(run.steady_slope, 0.0) * min(run.travel_m, STEADY_M)
     if below and sunk_m + rise_m > MAX_UNSEEN * run.standoff_m:
         return layout.SIGN_FOR_SHIFT
     if hides:
@@ -145,7 +158,8 @@ def sign_of_fault(adaptive, motion_m, sunk_m):
     lags = few or error_m <= mean_range.LAG_TAUS * lag_s * run.rate_mps
     slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
     if not below:  # the ground under the tool is not seen: it may rise as when the run began
-        motion_m += max(run.slope, 0.0) * travel_m
+        run_s = run.samples * adaptive.hold.interval_s
+        motion_m += max(run.slope, 0.0) * path_speed(adaptive.kinematics) * run_s
     if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
         return layout.NO_SIGN
     return layout.SIGN_FOR_SHIFT

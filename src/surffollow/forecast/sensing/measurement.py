@@ -10,7 +10,15 @@ from surffollow.forecast.modes import orients
 from surffollow.forecast.plant.plant_identification import height_is_known, predict_pose
 from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import follow_usual
-from surffollow.forecast.sensing import descent, frame_check, health, kinematics, response, standoff
+from surffollow.forecast.sensing import (
+    constant_ranges,
+    descent,
+    frame_check,
+    health,
+    kinematics,
+    response,
+    standoff,
+)
 from surffollow.forecast.sensing.latency_identification import observe_height, update_delay
 from surffollow.forecast.sensing.sample_hold import is_slow, new_sample, observe_timestamp, record_sample
 from surffollow.forecast.terrain import known_ground, preview, terrain_buffer
@@ -135,6 +143,8 @@ def observe_sensor(params, adaptive, sense, t_ns, range_m, pose, close):
     frame_check.observe_frame(params, adaptive, close, t_ns, range_m, pose[2])
     if kinematics.is_other_frame(adaptive.kinematics, t_ns):
         response.restart_test(adaptive.response)  # its heights are in the frame before
+    if kinematics.spans_jump(adaptive.kinematics):
+        constant_ranges.forget_slopes(adaptive.run)
     spread_m = descent.observe_descent(params, adaptive, t_ns, range_m, pose[2])
     response.observe_response(params, adaptive, t_ns, range_m, pose[2], spread_m)
     responds = not response.is_unresponsive(adaptive.response)
@@ -223,4 +233,6 @@ def follow_heading(adaptive, x_m, y_m):
     if turned:
         estimate.turn_estimate(adaptive, cosine)
         sample.lead_m = -sample.lead_m if cosine < 0.0 else sample.lead_m
+    if sample.heading_x * heading_x + sample.heading_y * heading_y < 0.0:
+        constant_ranges.turn_back(adaptive.run)
     sample.heading_x, sample.heading_y = heading_x, heading_y
