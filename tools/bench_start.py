@@ -22,7 +22,7 @@ from report import criterion, finish, result
 from service_process import COMMAND, END_S, remove_objects
 
 REPEATS = 7
-HELP_S, IMPORT_S, WARM_S, COLD_S = 0.3, 0.15, 3.0, 60.0
+HELP_S, IMPORT_S, WARM_S, COLD_S = 0.3, 0.15, 3.0, 20.0
 
 
 def run_s(command: list[str]) -> float:
