@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import surffollow
 from follower_poses import MS, T0, at
-from surffollow.errors import ConfigError, PoseError, UsageError
+from surffollow.errors import ConfigError, InputFileError, PoseError, UsageError
 
 
 def test_poses_that_are_not_newer_are_refused_and_counted():
@@ -101,12 +101,16 @@ def test_poses_as_often_as_any_sensor_measures_are_taken():
         {"sensors": [{"colour": "red"}]},
         {"plant": {"mass": 3}},
         {"memory": "much"},
-        "/no/such/file.toml",
     ],
 )
 def test_a_wrong_configuration_is_named(config):
     with pytest.raises(ConfigError):
         surffollow.Follower(config)
+
+
+def test_a_configuration_that_is_not_there_is_named():
+    with pytest.raises(InputFileError, match=r"cannot read configuration /no/such/file\.toml"):
+        surffollow.Follower("/no/such/file.toml")
 
 
 @pytest.mark.parametrize(("key", "meant"), [("sensor", "sensors"), ("plants", "plant"), ("memry", "memory")])

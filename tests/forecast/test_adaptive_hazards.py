@@ -66,8 +66,8 @@ def test_a_hazard_costs_hardly_more_clearance_than_a_p_loop_loses(family, seed):
     assert not ours.contact_valid, scenario
     # the P loop starts on a slope as it follows it; the follower learns the slope first (decision 21). A ring
     # turns until a blocked beam of three is found (decision 37). A blocked sensor is found in time, but not
-    # before the tool is low (decision 46)
-    late = ("steep and slow", "one of three blocked", "blocked at the end of a fall")
+    # before the tool is low (decision 46). With the pose of the axis an arm that bends swings (decision 72)
+    late = ("steep and slow", "one of three blocked", "blocked at the end of a fall", "bending arm")
     below_m = 0.2 * STANDOFF_M if family in late else BELOW_P_M
     assert shortfall_m(plain.clearance_m, ours.clearance_m) < below_m, scenario
 

@@ -144,14 +144,14 @@ def sign_of_fault(adaptive, motion_m, sunk_m):
     unusual = error_m > USUAL_ERRORS * run.error_m
     suspicious = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
     grave = (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == layout.ROTATION_FAILED
-    hides = motion_m <= MOTION_BANDS * band_m  # in the noise
-    if grave and not hides:
+    hidden_m = MOTION_BANDS * band_m  # in the noise
+    if grave and motion_m > hidden_m:
         return layout.SIGN_FOR_HOLD
     # ground that rose steadily before the run may rise on
     rise_m = max(run.steady_slope, 0.0) * min(run.travel_m, STEADY_M)
-    if below and sunk_m + rise_m > MAX_UNSEEN * run.standoff_m:
+    if below and rise_m > hidden_m and sunk_m + rise_m > MAX_UNSEEN * run.standoff_m:
         return layout.SIGN_FOR_SHIFT
-    if hides:
+    if motion_m <= hidden_m:
         return layout.NO_SIGN
     # with fewer samples in τ the ground changes while an answer is awaited
     few = number < mean_range.MAX_READINGS
