@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surffollow.cli.ground_note import GroundNote
 from surffollow.cli.main import one_object_is_printed
 from surffollow.cli.option_types import SERVICE_NAME, Finite, InputFile, OutputFile
 from surffollow.cli.progress import shows_compiling
@@ -239,31 +240,6 @@ class _StopSignals:
         return self._stopped
 
 
-class _GroundNote:
-    """Says once on stderr that the service's simulated sensor sees another ground."""
-
-    def __init__(self, name: str) -> None:
-        self._name, self._said = name, False
-
-    def __call__(self) -> None:
-        """Look at the notes of the service."""
-        from surffollow.client import observe
-        from surffollow.errors import FaultError
-        from surffollow.hw.simulation.ground_check import OTHER_GROUND
-
-        if self._said:
-            return
-        try:
-            with observe(self._name) as service:
-                text = str(service.status()["main"].get("text", ""))
-        except FaultError:  # it is away; the robot attaches to it again
-            return
-        note = next((part for part in text.split("; ") if part.startswith(OTHER_GROUND)), "")
-        if note:
-            self._said = True
-            click.echo(f"surffollow: {note}", err=True)
-
-
 def _attachment(name: str, arbiter: str | None, resource: str) -> Callable[[], Service]:
     from surffollow.client import attach
 
@@ -292,7 +268,7 @@ def _run(
     try:
         with hardware_priority(), _StopSignals() as stopped:
             core, summary = run_robot(
-                config, name, attachment, stopped, wait_s, standstill, own_standoff, _GroundNote(name)
+                config, name, attachment, stopped, wait_s, standstill, own_standoff, GroundNote(name)
             )
     except RefusedError as refused:
         if own_standoff or "offset_m" not in str(refused):
