@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from surffollow.forecast.estimation.noise import MIN_NOISE_M
+from surffollow.forecast.plant.axis_model import LONG_TAUS
 from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, REPEAT_BAND, SLOW_RATE
 from surffollow.forecast.sensing import constant_ranges as c
 from surffollow.forecast.sensing import mean_range as m
@@ -107,6 +108,7 @@ class NaiveResponse:
         self.last_ns = t_ns
         self._count_repeats(range_m, z_m)
         self.number = min(max(self.tau_s / self.interval_s, m.MIN_READINGS), m.MAX_READINGS)
+        self.slow = self.interval_s > LONG_TAUS * self.tau_s
         self.band_m = m.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
         one_m = m.BAND_SIGMAS * self.sigma_m
         tests = self.phase != RUN or self.lift_m > 0.0
@@ -174,7 +176,7 @@ class NaiveResponse:
         motion_m = r.ASCENT_SHARE * ascent_m if rises else descent_m
         ahead = abs(self.lead_m) >= APART_M
         error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
-        level_s = LEVEL_SHARE * self.interval_s if self.number <= m.MIN_READINGS else 0.0
+        level_s = LEVEL_SHARE * self.interval_s if self.slow else 0.0
         no_lag = error_m > (m.LAG_TAUS * self.tau_s + level_s) * rate_mps
         work = error_m * motion_m / (self.band_m * self.standoff_m)
         unusual = error_m > c.USUAL_ERRORS * self.usual_error_m
@@ -185,7 +187,7 @@ class NaiveResponse:
         if self.run_error_m() < max(self.band_m, m.LAG_TAUS * self.tau_s * rate_mps):
             self.proven_m = 0.0
         comes_back = self.proven_m > 0.0 and not rises and not repeats
-        few = self.number <= m.MIN_READINGS
+        few = self.slow
         steep = rate_mps * self.answer_s > r.STEEP * self.standoff_m and not rises
         steep = steep or (comes_back and few)
         wait_s = self.answer_s
@@ -195,16 +197,16 @@ class NaiveResponse:
         if comes_back:
             taken_m = rate_mps * (wait_s + self.delay_s + self.tau_s)
             room_m = min(r.MAX_DESCENT * self.standoff_m - taken_m, c.SHIFT_DESCENT * self.standoff_m)
-            higher_m = self.proven_m - self.standoff_m if self.number > m.MIN_READINGS else 0.0
+            higher_m = self.proven_m - self.standoff_m if not self.slow else 0.0
             least_m = max(least_m, room_m + higher_m)
         waits = 2.0 if comes_back and not few else 1.0
         if self.in_run <= waits * (1.0 if steep else c.MIN_MEANS) * self.number:
             return
-        if rises and self.number <= m.MIN_READINGS and not repeats:
+        if rises and self.slow and not repeats:
             return
         doubtful = enough and self.number >= m.MAX_READINGS and no_lag and work > c.SHIFT_ERROR_MOTION
         stops_m = rate_mps * (self.delay_s + self.tau_s)
-        far = self.number > m.MIN_READINGS and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
+        far = not self.slow and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
         distant = motion_m > c.SHIFT_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * c.MIN_MEANS * self.number
         if t_ns < self.settled_ns and not repeats:

@@ -1,4 +1,4 @@
-"""A sensor that repeats its last range for ever while the tool climbs a ramp, and a controller that obeys."""
+"""A sensor that freezes for ever while the tool climbs a ramp, and a controller that obeys."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from surffollow import Follower
 STANDOFF_M, SLOPE, SPEED_MPS, FROZEN_S = 0.1, 0.3, 0.2, 5.0
 
 
-def run(tau_s, samples, noise_m, count_m, seed=0):
-    """Least clearance [stand-offs], and per cycle since the fault whether the demand was VALID."""
+def run(tau_s, samples, noise_m, count_m, seed=0, blocked=False):
+    """Repeat the last range for ever, or, blocked, read the stand-off with the usual noise.
+
+    Least clearance [stand-offs], and per cycle since the fault whether the demand was VALID."""
     rng, rate_hz = np.random.default_rng(seed), samples / tau_s
     v_max, a_max = 0.02 / tau_s + 0.05, 8.0 * (0.05 / tau_s) ** 2
     follower = Follower(
@@ -29,6 +31,8 @@ def run(tau_s, samples, noise_m, count_m, seed=0):
         if k * dt < FROZEN_S:
             last = z - SLOPE * x + noise_m * rng.normal()
             last = round(last / count_m) * count_m if count_m else last
+        elif blocked:
+            last = STANDOFF_M + noise_m * rng.normal()
         follower.pose(t_ns, (x, 0.0, z, 0.0, 0.0, 0.0, 1.0))
         demand = follower.step(t_ns, [last])
         ok = "VALID" in follower.state()["status"]
@@ -61,3 +65,11 @@ def test_a_sensor_that_stays_stuck_ends_the_demand_for_good_before_the_ground_is
     assert least > 0.25
     lost = valid.index(False)
     assert not any(valid[lost:])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_samples_in_the_time_constant_are_enough_for_a_test_in_an_ascent(seed):
+    """A sensor with exactly two counted as slow, and was not tested in an ascent: contact while VALID."""
+    least, _ = run(0.05, 2, 3e-4, 0.0, seed, blocked=True)
+    print(f"{least:.2f} stand-offs")
+    assert least > 0.3

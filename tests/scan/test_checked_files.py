@@ -295,14 +295,20 @@ def test_a_path_with_two_columns_of_one_name_is_refused_by_check_and_run(tmp_pat
             read(file)
 
 
+def plan_with(folder, row, column, value):
+    """A path file with one value changed."""
+    _, file = plan_of(folder, ground_of(5, 120))
+    comments, names, rows = table_of(file)
+    rows[row][names.index(column)] = value
+    write_table(file, comments, names, rows)
+    return file
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("column", ["pass", "flags"])
 @pytest.mark.parametrize("value", ["1e308", "nan", "0.5", "-1e12", "4294967296"])
 def test_a_pass_or_flags_that_no_integer_holds_are_refused_without_a_warning(tmp_path, column, value):
-    _, file = plan_of(tmp_path, ground_of(5, 120))
-    comments, names, rows = table_of(file)
-    rows[0][names.index(column)] = value
-    write_table(file, comments, names, rows)
+    file = plan_with(tmp_path, 0, column, value)
     with pytest.raises(ScanFileError, match="a pass or flags that are no whole numbers"):
         read_path(file)
 
@@ -311,10 +317,7 @@ def test_a_pass_or_flags_that_no_integer_holds_are_refused_without_a_warning(tmp
 @pytest.mark.parametrize("column", ["azimuth_rad", "nx", "qw"])
 @pytest.mark.parametrize("value", ["inf", "1e308"])
 def test_an_attitude_that_is_none_is_refused_without_a_warning(tmp_path, column, value):
-    _, file = plan_of(tmp_path, ground_of(5, 120))
-    comments, names, rows = table_of(file)
-    rows[3][names.index(column)] = value
-    write_table(file, comments, names, rows)
+    file = plan_with(tmp_path, 3, column, value)
     with pytest.raises(ScanFileError, match="row 4: the quaternion and the attitude"):
         read_path(file)
 

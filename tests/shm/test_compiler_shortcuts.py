@@ -41,6 +41,7 @@ def test_an_error_names_the_line_and_numba_is_as_before():
     with pytest.raises(errors.TypingError, match=r"typing of get attribute at .*test_compiler_sho"):
         unknown_attribute(np.zeros(4))
     assert functions_of_numba() == before
+    assert "__instancecheck__" not in vars(type(types.Type))  # that of all types is the ordinary one
 
 
 def test_a_call_under_the_shortcuts_has_room_for_its_frames():
