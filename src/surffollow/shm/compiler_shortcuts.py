@@ -3,7 +3,7 @@
 - numba keeps its types in classes with an abstract metaclass, whose `isinstance` runs in Python, three
   million times in a cold start. No class is registered as a virtual subclass of one.
 - numba looks in several tables for what implements an operation. For each table without an entry it writes an
-  error message with all types, which nobody sees.
+  error message with all types, which is caught and dropped.
 - For `a[0]` it looks for an implementation of constant indices first. Arrays have none, so it loads all its
   registries again. Here that is done once for each type.
 - Whether an implementation takes a `loc` is read from its signature at each use.

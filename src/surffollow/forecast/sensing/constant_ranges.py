@@ -60,7 +60,7 @@ def moves_tool(response):
 
 @jit
 def update_mean(adaptive, range_m, sigma_m, most_m):
-    """Update the running mean, its spread, the mean of the run, the usual error outside tests, and the slope.
+    """Update mean, spread and travel of the run, the running mean, usual error outside tests, and slopes.
 
     Parameters
     ----------
