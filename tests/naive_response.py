@@ -202,7 +202,7 @@ class NaiveResponse:
         waits = 2.0 if comes_back and not few else 1.0
         if self.in_run <= waits * (1.0 if steep else c.MIN_MEANS) * self.number:
             return
-        if rises and self.slow and not repeats:
+        if rises and self.slow and not repeats and motion_m <= c.SHIFT_DESCENT * self.standoff_m:
             return
         doubtful = enough and self.number >= m.MAX_READINGS and no_lag and work > c.SHIFT_ERROR_MOTION
         stops_m = rate_mps * (self.delay_s + self.tau_s)
@@ -220,7 +220,7 @@ class NaiveResponse:
             if came_back and not rises and not ahead:
                 self.lift_m += max(self.run_m - self.standoff_m, 0.0)
             self.shift_z_m, self.shift_lead_m, self.rose = z_m, self._lead_m(z_m), rises
-            self.highest_m = self._ceiling_m(z_m)
+            self.highest_m = self._climbs_to_m(z_m) if self.slow else self._ceiling_m(z_m)
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > wait_s
         self.rose = rises
         if rises and unanswered:
@@ -238,14 +238,17 @@ class NaiveResponse:
         self.lift_m = self.misses_m = lift_m
         self.highest_m = self._ceiling_m(z_m)
 
+    def _climbs_to_m(self, z_m: float) -> float:
+        """Two lifts and what the run climbs in an answer."""
+        rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps) if self.rates_mps else 0.0
+        return z_m + 2.0 * self.lift_m + rate_mps * (self.answer_s + self.tau_s)
+
     def _ceiling_m(self, z_m: float) -> float:
-        """Two lifts and what the run climbs in an answer, within the window; over ground that is level."""
+        """So high in a lift, within the window; over ground that is level."""
         sees_m = self.far_m - self.run_m
         sees_m = max(sees_m - self.standoff_m, sees_m / 2.0)
         sees_m += self.low_z_m if self.rose else self.top_z_m
-        rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps) if self.rates_mps else 0.0
-        climbed_m = rate_mps * (self.answer_s + self.tau_s)
-        return min(z_m + 2.0 * self.lift_m + climbed_m, max(sees_m, z_m + self.lift_m))
+        return min(self._climbs_to_m(z_m), max(sees_m, z_m + self.lift_m))
 
     def _lead_m(self, z_m: float) -> float:
         return self.setpoint_m - z_m - self.climb_mps * (self.tau_s + self.delay_s)

@@ -178,6 +178,14 @@ def test_a_flank_counts_from_its_second_sample_on(seed):
     assert shortfall_m(plain.clearance_m, ours.clearance_m) < 1.1 * BELOW_P_M, scenario
 
 
+@pytest.mark.parametrize("seed", [2300170, 2300001, 2300190])
+def test_the_shift_of_a_slow_sensor_does_not_stop_the_tool_at_a_flank(seed):
+    """A long ascent is tested; a tool that stopped at its ceiling meanwhile lost 15 to 20 mm."""
+    scenario = draw("flank", seed)
+    ours, plain = play(follower(), scenario), play(PLoop(scenario.interval_ms), scenario)
+    assert shortfall_m(plain.clearance_m, ours.clearance_m) < 1.1 * BELOW_P_M, scenario
+
+
 def test_a_slope_from_before_the_demand_ended_is_no_slope_of_today():
     """GIVEN blocked beams that led the tool out of the window WHEN they see the ground again, 1 s later
 

@@ -10,7 +10,7 @@ from surffollow import Follower
 STANDOFF_M, SLOPE, SPEED_MPS, FROZEN_S = 0.1, 0.3, 0.2, 5.0
 
 
-def run(tau_s, samples, noise_m, count_m, seed=0, blocked=False):
+def run(tau_s, samples, noise_m, count_m, seed=0, blocked=False, speed_mps=SPEED_MPS):
     """Repeat the last range for ever, or, blocked, read the stand-off with the usual noise.
 
     Least clearance [stand-offs], and per cycle since the fault whether the demand was VALID."""
@@ -24,7 +24,7 @@ def run(tau_s, samples, noise_m, count_m, seed=0, blocked=False):
         },
         offset_m=STANDOFF_M,
     )
-    x, z, v, along, dt = 0.0, STANDOFF_M, 0.0, SPEED_MPS, 1.0 / rate_hz
+    x, z, v, along, dt = 0.0, STANDOFF_M, 0.0, speed_mps, 1.0 / rate_hz
     hold, last, least, valid = 0.0, 0.0, 1.0, []
     for k in range(int((FROZEN_S + 12.0) * rate_hz)):
         t_ns = 1 + round(1e9 * k * dt)
@@ -38,7 +38,7 @@ def run(tau_s, samples, noise_m, count_m, seed=0, blocked=False):
         ok = "VALID" in follower.state()["status"]
         hold = z if ok else hold
         target = z + demand[2] if ok else hold
-        along = min(SPEED_MPS, along + 0.2 * dt) if ok else max(0.0, along - 0.5 * dt)
+        along = min(speed_mps, along + 0.2 * dt) if ok else max(0.0, along - 0.5 * dt)
         for _ in range(6):
             wanted = min(max((target - z) / tau_s, -v_max), v_max)
             v += min(max(wanted - v, -a_max * dt / 6), a_max * dt / 6)
@@ -71,5 +71,14 @@ def test_a_sensor_that_stays_stuck_ends_the_demand_for_good_before_the_ground_is
 def test_two_samples_in_the_time_constant_are_enough_for_a_test_in_an_ascent(seed):
     """A sensor with exactly two counted as slow, and was not tested in an ascent: contact while VALID."""
     least, _ = run(0.05, 2, 3e-4, 0.0, seed, blocked=True)
+    print(f"{least:.2f} stand-offs")
+    assert least > 0.3
+
+
+@pytest.mark.parametrize("samples", [1.9, 1.5, 1.2])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_slow_sensor_is_tested_in_a_long_ascent(samples, seed):
+    """With less than two samples in τ no constant range was tested in an ascent: contact while VALID."""
+    least, _ = run(0.05, samples, 3e-4, 0.0, seed, blocked=True, speed_mps=0.05)
     print(f"{least:.2f} stand-offs")
     assert least > 0.3

@@ -49,16 +49,19 @@ def _ceiling_m(params, adaptive, tool_z_m, lift_m):
 
     It may climb in an answer as it did in the run, but no farther than the sensor sees the ground of when the
     run began, or than that ground rises. A good sensor over rising ground answers when the tool stops there.
+    A slow one answers late: it is stopped by its second shift only.
     """
     run, standoff_m = adaptive.run, params.offset_m
     lasts_s = answer_s(adaptive, MIN_MEANS) + adaptive.plant.tau_s  # the setpoint is ahead of the tool
+    climbed_z_m = tool_z_m + 2.0 * lift_m + run.rate_mps * lasts_s
+    if adaptive.response.phase == layout.RESPONSE_RUN and is_slow(adaptive):
+        return climbed_z_m
     room_m, begun_z_m = params.range_max_m - run.range_m, run.top_z_m
     if adaptive.response.rises != 0:
         begun_z_m = run.low_z_m
     rise_m = max(run.slope, 0.0) * path_speed(adaptive.kinematics) * lasts_s
     # a stand-off is kept to the end of the window for a lift and uneven ground
     seen_z_m = begun_z_m + max(room_m - standoff_m, 0.5 * room_m)
-    climbed_z_m = tool_z_m + 2.0 * lift_m + run.rate_mps * lasts_s
     return min(climbed_z_m, max(seen_z_m, tool_z_m + lift_m + rise_m))
 
 
@@ -115,7 +118,9 @@ def _update_run(params, adaptive, tool_z_m):
         sign = layout.NO_SIGN
     if returns and not sparse:
         means *= 2.0  # a tool that comes back shortens the range meanwhile: that is an answer without a test
-    if run.samples <= means * number or (rises and sparse and not repeated):
+    # an error of a slow sensor may be lag
+    short = rises and sparse and not repeated and ascent <= constant_ranges.SHIFT_DESCENT * params.offset_m
+    if run.samples <= means * number or short:
         return
     response.rises = 1 if rises else 0
     far = not sparse and descent + run.rate_mps * stop_s > MAX_DESCENT * params.offset_m
