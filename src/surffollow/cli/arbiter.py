@@ -39,6 +39,7 @@ def start_command(config_path: str, name: str | None, quiet: bool) -> None:
     import msgspec
 
     from surffollow.arbiter.config import load_config
+    from surffollow.config.input_file import contents_are_read
 
     config = load_config(config_path)
     if name is not None:
@@ -48,7 +49,8 @@ def start_command(config_path: str, name: str | None, quiet: bool) -> None:
     check_numba_settings()
     from surffollow.arbiter.server import serve
 
-    serve(config, quiet)
+    with contents_are_read():
+        serve(config, quiet)
 
 
 arbiter_group.add_command(stop_command)

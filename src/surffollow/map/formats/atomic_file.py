@@ -101,7 +101,7 @@ def _behind_links(path: Path) -> Path:
             shared = folder.st_mode & _SHARED == _SHARED
             if shared and owner not in (os.geteuid(), folder.st_uid):
                 raise MapFileError(
-                    f"cannot write {path}: {target} is a link of user {owner}; remove it or choose another name"
+                    f"cannot write {path}: {target} is a link of user {owner}; choose another name"
                 )
             target = target.parent / os.readlink(target)
         except OSError as e:
