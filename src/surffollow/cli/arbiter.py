@@ -151,22 +151,29 @@ def history_command(name: str, last: int, follow: bool, seconds: float, as_json:
     until = time.monotonic() + seconds if seconds > 0 else float("inf")
     with observe(name) as arbiter:
         history = arbiter.history()
+        sizes = {name: len(r["fields"]) for name, r in arbiter.status()["resources"].items()}
+        if not as_json:
+            print(
+                f"{'seq':>8} {'time [s]':>14} {'resource':12} {'client':11} {'event':20} {'reason':12} "
+                f"{'token':>18} values (time: CLOCK_MONOTONIC)"
+            )
         for event in history.newest(last):
-            _print_event(event, as_json)
+            _print_event(event, as_json, sizes)
         while follow and not stop.is_set() and time.monotonic() < until and arbiter.alive():
             for event in history:
-                _print_event(event, as_json)
+                _print_event(event, as_json, sizes)
             print(end="", flush=True)
             stop.wait(0.01)
     if history.lost:
         print(f"surffollow: {history.lost} records were overwritten before they were read", file=sys.stderr)
 
 
-def _print_event(event: Any, as_json: bool) -> None:
+def _print_event(event: Any, as_json: bool, sizes: dict[str, int]) -> None:
     if as_json:
         print(json.dumps(event._asdict()))
         return
-    values = " ".join(f"{v:g}" for v in event.command) if event.event in ("FORWARD", "SAFE") else ""
+    shown = event.command[: sizes.get(event.resource)] if event.event in ("FORWARD", "SAFE") else ()
+    values = " ".join(f"{v:g}" for v in shown)
     if event.event in ("GRANT", "DEQUEUE") and event.command[0] > 0.0:
         values = f"waited {event.command[0]:.3f} s"
     token = f"{event.token:#x}" if event.token else "-"
