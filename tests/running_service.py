@@ -23,7 +23,7 @@ from surffollow.config.service import ServiceConfig, load_config
 from surffollow.errors import BusyError, NotRunningError
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.objects import unlink
-from surffollow.sim.robot_run import FIFO_PRIORITY
+from surffollow.sim.hardware_priority import FIFO_PRIORITY
 from surffollow.sim.world import WorldPose, WorldWriter
 
 if TYPE_CHECKING:

@@ -36,9 +36,9 @@ from surffollow.client import attach as attach_to  # noqa: E402
 from surffollow.errors import NotRunningError, SurffollowError  # noqa: E402
 from surffollow.shm.ending_signals import ended_by_signals  # noqa: E402
 from surffollow.shm.latch_shape import latch_bytes  # noqa: E402
+from surffollow.sim.hardware_priority import hardware_priority  # noqa: E402
 from surffollow.sim.robot import RobotCore  # noqa: E402
 from surffollow.sim.robot_config import RobotConfig  # noqa: E402
-from surffollow.sim.robot_run import hardware_priority  # noqa: E402
 from surffollow.sim.robot_stop import REST_MPS, time_to_rest_s  # noqa: E402
 from surffollow.sim.world import WorldPose, WorldWriter  # noqa: E402
 from surffollow.sim.world_surface import WorldConfig  # noqa: E402

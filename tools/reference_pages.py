@@ -43,8 +43,12 @@ exit with 0 then. SIGTERM and SIGHUP end the commands that run until Ctrl-C in t
 Before the first line of surffollow, in the 0.03 s in which Python itself starts, Ctrl-C may print a
 traceback of Python.
 
-An input that is not there, may not be read or is a folder is a fault: exit code 1. So is an output
-that exists already, is a folder or cannot be written.
+Exit code 2 means that the command line is wrong: an option or argument is unknown, is missing, has a
+wrong value, or does not fit the files beside it. Every other fault has exit code 1. That includes:
+
+- an input that is not there, may not be read, or is a folder or an endless device;
+- an input with wrong contents, whatever its format: TOML, CSV, JSON, map, recording, image, path;
+- an output that exists already, is a folder or cannot be written.
 
 With `--json` an error is one JSON object on stdout: `error` (its text), `kind` (its class of
 `surffollow.errors`) and `exit_code`. The text is on stderr, with `--json` too. `blocks watch` and

@@ -1,5 +1,8 @@
 """Every exception that surffollow raises on purpose.
 
+A command ends with the exit code of its error. A `UsageError` about the contents of a file that a command
+reads has the exit code 1.
+
 ::
 
     SurffollowError

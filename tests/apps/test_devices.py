@@ -12,14 +12,23 @@ import uuid
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from running_service import until
 from surffollow.apps.device_processes import CameraStatus, SpeakerStatus
 from surffollow.arbiter import attach
 from surffollow.blocks import mem_attach
+from surffollow.cli.device import device_command
 from surffollow.sim.devices import PanCamera, Speaker
 
 ROOT = Path(__file__).parents[2]
+
+
+def test_the_text_of_a_device_says_whose_commands_it_obeyed(monkeypatch):
+    said = {"obeyed": {0: 3, 7: 40}, "pan_rad": 0.5, "moving": False}
+    monkeypatch.setattr("surffollow.apps.device_processes.run_device", lambda *_: said)
+    done = CliRunner().invoke(device_command, ["camera"])
+    assert done.output == "cycles: 3 of the safe command, 40 of client 7; pan_rad 0.5, moving False\n"
 
 
 def test_a_camera_turns_at_its_rate_and_stays_within_its_range():

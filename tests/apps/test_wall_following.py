@@ -244,3 +244,13 @@ def test_a_run_without_a_straight_is_drawn_over_its_whole_time():
     # an empty panel says why it is empty
     (distance,) = (ax for ax in axes if "distance to the" in ax.get_ylabel())
     assert [text.get_text() for text in distance.texts] == ["counted between two turns"]
+
+
+def test_the_heading_along_the_first_wall_is_drawn_without_jumps():
+    time_s = np.linspace(0.0, 14.0, 50)
+    zero = np.zeros(50)
+    heading_rad = math.radians(3.0) * np.sin(time_s)
+    run = Run(["go"], time_s, zero + 1.0, zero + 1.0, heading_rad, zero + 0.5, np.zeros(50, np.int64))
+    panels = [ax for ax in figure_of(run, "first wall").axes if ax.get_ylabel() == "heading [°]"]
+    drawn_deg = panels[-1].lines[0].get_ydata()
+    assert drawn_deg == pytest.approx(np.degrees(heading_rad))

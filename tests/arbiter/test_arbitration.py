@@ -322,6 +322,14 @@ def test_status_and_history_commands_tell_what_clients_did(arbiter, attach_clien
     assert status["resources"]["robot"]["holder"] == "go"
     assert status["resources"]["robot"]["units"] == ["m/s", "rad/s"]
     assert [c["name"] for c in status["clients"]] == ["go"]
+    done = CliRunner().invoke(cli, ["arbiter", "history", "--name", arbiter.name, "--last", "100"])
+    head, *events = done.stdout.splitlines()
+    forwarded = next(line for line in events if " FORWARD " in line)
+    # the columns begin, or end, where their heads do; a command has the values that its resource declares
+    assert forwarded.index("robot") == head.index("resource")
+    assert forwarded.index("FORWARD") == head.index("event")
+    assert forwarded.index(".") + 7 == head.index("[s]") + 3
+    assert forwarded.split()[-3].startswith("0x")  # the token, before the two values
 
 
 def test_the_status_of_a_killed_arbiter_ends_with_exit_code_1(make_arbiter):

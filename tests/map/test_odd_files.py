@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from map.small_maps import scattered, small
+from second_user import NOBODY, needs_root
 from surffollow.errors import MapFileError
 from surffollow.map import HeightMap
 from surffollow.map.files import export
@@ -305,3 +306,38 @@ def test_scale_offset_and_unit_of_a_geotiff_are_applied(tmp_path, tags, highest_
 def test_a_geotiff_that_is_not_in_metres_is_refused(tmp_path, tags, why):
     with pytest.raises(MapFileError, match=why):
         HeightMap.load(geotiff(tmp_path / "dem.tif", **tags))
+
+
+@needs_root
+def test_a_link_of_another_user_in_a_shared_folder_replaces_no_file(tmp_path):
+    (tmp_path / "own.npz").write_text("kept")
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o1777)
+    for name, leads_to in (("map.npz", tmp_path / "own.npz"), ("new.npz", tmp_path / "new.npz")):
+        (shared / name).symlink_to(leads_to)
+        os.chown(shared / name, NOBODY, NOBODY, follow_symlinks=False)
+        (tmp_path / name).symlink_to(shared / name)  # one's own, which leads to it
+        for link in (shared / name, tmp_path / name):
+            with pytest.raises(MapFileError, match="is a link of user 65534; choose"):
+                small().save(link)
+    assert (tmp_path / "own.npz").read_text() == "kept"
+    assert not (shared / "new.npz").exists()
+
+
+def test_ones_own_links_are_followed_also_where_they_are_relative(tmp_path):
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o1777)
+    (shared / "a.npz").symlink_to("../b.npz")
+    (tmp_path / "b.npz").symlink_to("c.npz")
+    small().save(shared / "a.npz")
+    assert [(shared / "a.npz").is_symlink(), (tmp_path / "b.npz").is_symlink()] == [True, True]
+    assert HeightMap.load(tmp_path / "c.npz").shape == small().shape
+
+
+def test_links_that_go_round_are_refused(tmp_path):
+    (tmp_path / "a.npz").symlink_to("b.npz")
+    (tmp_path / "b.npz").symlink_to("a.npz")
+    with pytest.raises(MapFileError, match=r"cannot write .*a\.npz"):
+        small().save(tmp_path / "a.npz")

@@ -386,3 +386,21 @@ def test_the_forecast_is_compared_with_the_height_that_was_known_later(recording
     data.rows["output"]["target_m"][:, 2] += 0.05
     # THEN the errors are the same
     np.testing.assert_array_equal(forecast_errors(data, 0.1), (predicted, still))
+
+
+@pytest.mark.parametrize(("spread_m", "unit"), [(1.0, "m"), (0.02, "mm")])
+def test_all_errors_of_a_figure_have_one_unit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spread_m: float, unit: str
+) -> None:
+    """The RMS at the horizons lies within half a metre of each other, while the errors do not."""
+    log, columns = tmp_path / "log.csv", tmp_path / "columns.toml"
+    noise = np.random.default_rng(1).uniform(-spread_m, spread_m, 200)
+    log.write_text("t,d,n\n" + "".join(f"{k / 10},{8 + d:.4f},{k / 20}\n" for k, d in enumerate(noise)))
+    columns.write_text(COLUMNS)
+    kept = []
+    monkeypatch.setattr("surffollow.record.figure.save_figure", lambda drawn, out: kept.append(drawn))
+    run = CliRunner().invoke(plot_command, [str(log), "--columns", str(columns), "--out", "x.png"])
+    assert run.exit_code == 0, run.output
+    labels = [ax.get_ylabel() for ax in kept[0].axes]
+    assert f"error [{unit}]" in labels
+    assert f"RMS [{unit}]" in labels

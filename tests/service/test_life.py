@@ -207,11 +207,11 @@ def test_a_configuration_that_is_wrong_is_refused_by_its_key(
     assert objects_of(s.name) == set()
 
 
-def test_a_wrong_configuration_ends_start_with_exit_code_2_and_one_line(make_service: Make) -> None:
+def test_a_wrong_configuration_ends_start_with_exit_code_1_and_one_line(make_service: Make) -> None:
     s = make_service()
     s.config.write_text('[map]\nfinest_grid = "1 parsec"')
     done = s.run("start", "--config", str(s.config))
-    assert done.returncode == 2
+    assert done.returncode == 1
     assert "map.finest_grid" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     done = s.run("start", "--config", "/nonexistent/x.toml")

@@ -23,7 +23,7 @@ def test_statements_have_the_variables_that_numba_finds():
     parts += [s.value for s in parts if isinstance(s, ir.Assign) and isinstance(s.value, ir.Inst)]
     assert len(parts) > 30
     for part in parts:
-        want = [v.name for v in lifetimes._list_ordinarily(part, vars(part))]
+        want = [v.name for v in part._rec_list_vars(vars(part))]
         assert [v.name for v in lifetimes._list(part, vars(part))] == want
 
 

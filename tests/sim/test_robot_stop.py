@@ -127,7 +127,7 @@ def test_the_tool_is_at_rest_in_time_whatever_is_taken_away() -> None:
 
 POLICIES = """
 import os, threading
-from surffollow.sim.robot_run import hardware_priority
+from surffollow.sim.hardware_priority import hardware_priority
 with hardware_priority():
     seen = [os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK]
     thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0)))

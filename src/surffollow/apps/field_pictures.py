@@ -59,7 +59,7 @@ def _gaps(axes: Any, seed: int) -> None:
     axes.axhline(1e3 * task.gap_m, color="black", lw=0.6)
     axes.set_xlabel("y [m]")
     axes.set_ylabel("distance of the tip from the ground [mm]")
-    axes.set_title("pass over the 70° hump, 0.1 m/s, no ATF")
+    axes.set_title("pass over the 70° hump, 0.1 m/s, following none")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
 
@@ -93,4 +93,4 @@ def _signal(axes: Any, made: Demonstration, figure: Any) -> None:
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.legend(fontsize=8, loc="upper right", bbox_to_anchor=(-0.45, 1.0))
-    axes.set_title(f"signal map: {1e3 * made.figures['target']['error_m']:.0f} mm off")
+    axes.set_title(f"signal map: target found {1e3 * made.figures['target']['error_m']:.0f} mm off")

@@ -105,8 +105,10 @@ def _draw_distance(ax: Any, run: Run, room_m: tuple[float, float]) -> None:
 
 
 def _draw_heading(ax: Any, run: Run) -> None:
-    ax.plot(run.time_s, np.degrees(run.heading_rad) % 360.0, ".", ms=1)
-    ax.set(ylabel="heading [°]", ylim=(-5, 365), yticks=range(0, 361, 90))
+    # cut where a turn passes, not along the first wall: there the heading would jump by 360° again and again
+    heading_deg = (np.degrees(run.heading_rad) + 45.0) % 360.0 - 45.0
+    ax.plot(run.time_s, heading_deg, ".", ms=1)
+    ax.set(ylabel="heading [°]", ylim=(-50, 320), yticks=range(0, 271, 90))
 
 
 def _draw_holders(ax: Any, run: Run) -> None:

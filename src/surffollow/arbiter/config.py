@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from surffollow.arbiter.layout import RESOURCES, VALUES
+from surffollow.config.input_file import contents_are_read
 from surffollow.config.key_errors import key_error_text
 from surffollow.config.names import check_name, check_service_name
 from surffollow.config.service import mode, seconds
@@ -211,6 +212,7 @@ def _check_combination(c: ArbiterConfig, name: str, spec: CombinationSpec) -> No
             )
 
 
+@contents_are_read()
 def load_config(path: str | Path) -> ArbiterConfig:
     """Read an arbiter's configuration file; raises `ConfigError` as `config.service.load_config`."""
     return parse_config(read_toml(path, "configuration", ConfigError), str(path))

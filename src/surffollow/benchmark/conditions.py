@@ -8,6 +8,7 @@ from typing import Literal
 
 import msgspec
 
+from surffollow.config.input_file import contents_are_read
 from surffollow.errors import ConfigError
 from surffollow.sim.plant import PlantConfig, from_table, plant_keys, plant_of, read_tables
 
@@ -110,6 +111,7 @@ def default_standoff_m(sensor: SensorConfig) -> float:
     return STANDOFF_M if inside else 0.5 * (sensor.near_m + sensor.far_m)
 
 
+@contents_are_read()
 def load_conditions(path: str | Path) -> Conditions:
     """Read plant, [pose], [sensor] and `standoff` from a TOML file; what it leaves out keeps its default.
 

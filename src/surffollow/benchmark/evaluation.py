@@ -28,6 +28,7 @@ from surffollow.benchmark.suite import (
     without_families,
 )
 from surffollow.benchmark.trials import run_trials
+from surffollow.config.input_file import contents_are_read
 from surffollow.errors import FaultError, UsageError
 from surffollow.map.formats.atomic_file import check_place
 
@@ -173,6 +174,7 @@ def _keep_tuned(folder: Path, tuned: Tuned) -> None:
         raise FaultError(f"cannot write to '{folder}': {error.strerror}") from error
 
 
+@contents_are_read()
 def _load_tuned(folder: Path | None) -> Tuned:
     """Oracle tunings of an earlier run into the same folder: they need not be sought again."""
     path = folder / ORACLES_FILE if folder else None

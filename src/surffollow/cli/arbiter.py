@@ -1,4 +1,4 @@
-"""`surffollow arbiter`: all its verbs but `stop` and `acknowledge`, which have modules of their own."""
+"""`surffollow arbiter`: its verbs, of which `stop`, `acknowledge` and `history` have their own modules."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from surffollow.cli.arbiter_acknowledge import acknowledge_command
+from surffollow.cli.arbiter_history import history_command
 from surffollow.cli.arbiter_stop import stop_command
 from surffollow.cli.old_names import old_name
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite, InputFile
@@ -39,6 +40,7 @@ def start_command(config_path: str, name: str | None, quiet: bool) -> None:
     import msgspec
 
     from surffollow.arbiter.config import load_config
+    from surffollow.config.input_file import contents_are_read
 
     config = load_config(config_path)
     if name is not None:
@@ -48,11 +50,13 @@ def start_command(config_path: str, name: str | None, quiet: bool) -> None:
     check_numba_settings()
     from surffollow.arbiter.server import serve
 
-    serve(config, quiet)
+    with contents_are_read():
+        serve(config, quiet)
 
 
 arbiter_group.add_command(stop_command)
 arbiter_group.add_command(acknowledge_command)
+arbiter_group.add_command(history_command)
 
 
 @arbiter_group.command("status")
@@ -126,52 +130,6 @@ def _status_in(name: str, wait_s: float) -> dict[str, Any]:
         if late:
             raise NotRunningError(f"no arbiter {name!r} ran within {wait_s:g} s")
         time.sleep(0.1)
-
-
-@arbiter_group.command("history")
-@click.option("--name", type=SERVICE_NAME, default="cell", show_default=True, help="Name of the arbiter.")
-@click.option(
-    "--last",
-    type=click.IntRange(0),
-    default=50,
-    show_default=True,
-    help="Number of newest records to print at first.",
-)
-@click.option("--follow", is_flag=True, help="Go on until Ctrl-C.")
-@click.option("--seconds", type=Finite(min=0.0), default=0.0, help="With --follow: end after that time.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
-def history_command(name: str, last: int, follow: bool, seconds: float, as_json: bool) -> None:
-    """Print who asked, held, lost and commanded what."""
-    from surffollow.arbiter import observe
-    from surffollow.cli.progress import stop_event
-
-    stop = stop_event()
-    until = time.monotonic() + seconds if seconds > 0 else float("inf")
-    with observe(name) as arbiter:
-        history = arbiter.history()
-        for event in history.newest(last):
-            _print_event(event, as_json)
-        while follow and not stop.is_set() and time.monotonic() < until and arbiter.alive():
-            for event in history:
-                _print_event(event, as_json)
-            print(end="", flush=True)
-            stop.wait(0.01)
-    if history.lost:
-        print(f"surffollow: {history.lost} records were overwritten before they were read", file=sys.stderr)
-
-
-def _print_event(event: Any, as_json: bool) -> None:
-    if as_json:
-        print(json.dumps(event._asdict()))
-        return
-    values = " ".join(f"{v:g}" for v in event.command) if event.event in ("FORWARD", "SAFE") else ""
-    if event.event in ("GRANT", "DEQUEUE") and event.command[0] > 0.0:
-        values = f"waited {event.command[0]:.3f} s"
-    token = f"{event.token:#x}" if event.token else "-"
-    print(
-        f"{event.seq:>8} {event.t_ns / 1e9:14.6f} {event.resource or '-':12} client {event.client:<4} "
-        f"{event.event:20} {event.reason:12} {token:>18} {values}".rstrip()
-    )
 
 
 @arbiter_group.command("check")

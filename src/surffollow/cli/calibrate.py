@@ -88,6 +88,7 @@ def range_command(
 
     from surffollow.apps.fit_range import fit_range
     from surffollow.cli.range_pairs import draw_fit, typed_pairs, unit_notes
+    from surffollow.config.input_file import contents_are_read
     from surffollow.hw.calibration import merged, save_calibration
     from surffollow.record.csv_log import read_numbers
     from surffollow.record.figure import check_figure
@@ -108,7 +109,8 @@ def range_command(
     else:
         indicated, true = map(np.array, typed_pairs(str(name), channel, seconds, unit))
     true_m = scale * true
-    fit = fit_range(indicated, true_m, channel)
+    with contents_are_read():
+        fit = fit_range(indicated, true_m, channel)
     notes = unit_notes(fit.table)
     if replaced and pairs is None:
         notes.append(
@@ -151,7 +153,8 @@ def range_command(
 @JSON
 def latency_command(move: Path | None, name: str | None, out: Path, as_json: bool) -> None:
     """Find the age of distances from MOVE, up and down over one spot: CSV with t_s, z_m and range_m."""
-    from surffollow.errors import ConfigError
+    from surffollow.config.input_file import contents_are_read
+    from surffollow.errors import FaultError
     from surffollow.hw.calibration import merged, save_calibration
 
     calibration_there(out, move)
@@ -162,7 +165,8 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
         from surffollow.record.csv_log import read_numbers
 
         t_s, z_m, range_m = read_numbers(move, ("t_s", "z_m", "range_m"))
-        fit = fit_latency(t_s, z_m, t_s, range_m)
+        with contents_are_read():
+            fit = fit_latency(t_s, z_m, t_s, range_m)
         latency_s, found = fit.latency_s, {"sigma_s": fit.sigma_s, "scatter_m": fit.scatter_m}
     else:
         from surffollow.client import observe
@@ -170,7 +174,7 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
         with observe(str(name)) as watcher:
             reported = watcher.status()["follower"].get("latency_s")
         if reported is None:
-            raise ConfigError(
+            raise FaultError(
                 f"service {name!r} has learned no latency; it does in mode adaptive, on an approach or a "
                 "move up and down over one spot"
             )
@@ -196,13 +200,15 @@ def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
     import numpy as np
 
     from surffollow.apps.fit_mount import fit_mount
+    from surffollow.config.input_file import contents_are_read
     from surffollow.hw.calibration import merged, save_calibration
     from surffollow.hw.driver import IDENTITY
     from surffollow.record.csv_log import read_numbers
 
     there = calibration_there(out, moves)
     *poses, range_m = read_numbers(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))
-    fit = fit_mount(np.array(poses).T, range_m)
+    with contents_are_read():
+        fit = fit_mount(np.array(poses).T, range_m)
     mounts = list(there.mounts or ())
     mounts += [IDENTITY] * (channel + 1 - len(mounts))
     mounts[channel] = fit.mount

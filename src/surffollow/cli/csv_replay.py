@@ -28,6 +28,7 @@ def replay_csv_log(
     mode : str or None              of the follower
     """
     from surffollow.cli.progress import progress_bar
+    from surffollow.config.input_file import contents_are_read
     from surffollow.errors import UsageError
     from surffollow.record.columns import load_columns
     from surffollow.record.csv_log import read_csv
@@ -40,7 +41,7 @@ def replay_csv_log(
         )
     meaning = load_columns(columns)
     log = read_csv(file, meaning).between(start, end)
-    with progress_bar("following") as progress:
+    with progress_bar("following") as progress, contents_are_read():
         return run_csv(log, meaning, mode, progress), meaning
 
 

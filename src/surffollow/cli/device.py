@@ -23,4 +23,12 @@ def device_command(kind: str, name: str, seconds: float, as_json: bool) -> None:
 
     stopped = stop_on_signals()
     said = run_device(kind, name, seconds, lambda: bool(stopped))
-    print(json.dumps(said) if as_json else ", ".join(f"{k} {v}" for k, v in said.items()))
+    if as_json:
+        print(json.dumps(said))
+        return
+    cycles = said.pop("obeyed")
+    by = ", ".join(
+        f"{n} of {f'client {client}' if client else 'the safe command'}"
+        for client, n in sorted(cycles.items())
+    )
+    print(f"cycles: {by or 'none'}; " + ", ".join(f"{k} {v}" for k, v in said.items()))

@@ -187,7 +187,7 @@ def _execute(
     from surffollow.apps.scan_run import execute
     from surffollow.cli.progress import progress_line
     from surffollow.client import Client, attach, observe
-    from surffollow.sim.robot_run import hardware_priority
+    from surffollow.sim.hardware_priority import hardware_priority
 
     def prepare(client: Any) -> None:
         if install is not None:

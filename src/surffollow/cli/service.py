@@ -61,6 +61,7 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
         hold_standard_files()
         import msgspec
 
+        from surffollow.config.input_file import contents_are_read
         from surffollow.config.names import check_service_name
         from surffollow.config.service import ServiceConfig, load_config
         from surffollow.errors import InputFileError, UsageError
@@ -73,7 +74,8 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
             config = msgspec.structs.replace(
                 config, realtime=msgspec.structs.replace(config.realtime, strict=True)
             )
-        check_service_name(config.name)
+        with contents_are_read():  # NAME was checked
+            check_service_name(config.name)
         check_numba_settings()
         from surffollow.service.daemon import serve
 
@@ -82,9 +84,10 @@ def start_command(config_path: str | None, name: str | None, quiet: bool, strict
     except KeyboardInterrupt:  # before the service had objects to tidy up
         sys.exit(130)
     except (InputFileError, UsageError) as error:  # no such calibration; a region too large
-        if config_path is None or str(error).startswith(config_path):
-            raise
-        raise type(error)(f"{config_path}: {error}") from None
+        with contents_are_read():
+            if config_path is None or str(error).startswith(config_path):
+                raise
+            raise type(error)(f"{config_path}: {error}") from None
 
 
 @click.command("stop")

@@ -261,7 +261,8 @@ def _run(
 ) -> dict[str, Any]:
     from surffollow.errors import RefusedError
     from surffollow.map.formats.atomic_file import check_place, replacing
-    from surffollow.sim.robot_run import hardware_priority, run_robot
+    from surffollow.sim.hardware_priority import hardware_priority
+    from surffollow.sim.robot_run import run_robot
 
     if trace:
         check_place(trace)

@@ -1,13 +1,17 @@
-"""Read input files; nothing is waited for, and nothing without an end is read."""
+"""Read input files; nothing is waited for, and nothing without an end is read.
+
+Wrong contents are a fault (exit code 1); wrong usage (2) is of the command line alone.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 
-from surffollow.errors import FaultError, InputFileError
+from surffollow.errors import FaultError, InputFileError, UsageError
 
 _KINDS = (
     (stat.S_ISDIR, "a folder", "give a file"),
@@ -78,3 +82,16 @@ def read_input(path: str | Path, most: int = -1, *, device: bool = True) -> byte
                     raise OSError(None, "it is a pipe out of which nothing comes")
         os.set_blocking(file.fileno(), True)
         return begins + file.read(most if most < 0 else most - len(begins))
+
+
+@contextlib.contextmanager
+def contents_are_read() -> Iterator[None]:
+    """Errors of wrong usage within are about a file's content: a command ends with the code of a fault.
+
+    Also a decorator of functions that read a file. The classes of errors stay, for programs.
+    """
+    try:
+        yield
+    except UsageError as error:
+        error.exit_code = FaultError.exit_code
+        raise

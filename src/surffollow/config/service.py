@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from surffollow.config.driver_files import with_absolute_files
+from surffollow.config.input_file import contents_are_read
 from surffollow.config.key_errors import key_error_text
 from surffollow.config.limits import CHANGED_BY, check_within_limits, client_limits, range_user
 from surffollow.config.names import check_service_name
@@ -270,6 +271,7 @@ def map_quantum_m(c: ServiceConfig) -> float:
     return metres(given, "map.quantum", 1e-9, 10.0)
 
 
+@contents_are_read()
 def load_config(path: str | Path) -> ServiceConfig:
     """Read a configuration file; relative paths in it are relative to its folder.
 

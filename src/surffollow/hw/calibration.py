@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from surffollow.config.input_file import contents_are_read
 from surffollow.config.toml_file import read_small
 from surffollow.errors import ConfigError
 from surffollow.hw.driver import Mount
@@ -62,6 +63,7 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     about: dict[str, Any] = {}
 
 
+@contents_are_read()
 def load_calibration(path: str | Path) -> Calibration:
     """Read a calibration file.
 

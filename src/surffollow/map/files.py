@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.input_file import check_plain_file
+from surffollow.config.input_file import check_plain_file, contents_are_read
 from surffollow.errors import MapFileError, UsageError
 from surffollow.map.formats.atomic_file import FilePath, Progress, report
 from surffollow.map.formats.npz import read_npz, write_npz
@@ -128,6 +128,7 @@ def load(path: FilePath, *, progress: Progress | None = None) -> tuple[NDArray[A
     return read_text(path, progress=progress)
 
 
+@contents_are_read()
 def load_raster(path: FilePath) -> Raster | None:
     """Read an ESRI ASCII grid or GeoTIFF in full precision, which a map's quantum would round.
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from surffollow.config.input_file import contents_are_read
 from surffollow.config.key_errors import key_error_text
 from surffollow.config.toml_file import naming_source, read_toml
 from surffollow.errors import UsageError
@@ -164,6 +165,7 @@ def _check(c: Columns) -> None:
         raise UsageError("[mount] orientation must be a unit quaternion [qx, qy, qz, qw]")
 
 
+@contents_are_read()
 def load_columns(path: str | Path) -> Columns:
     """Read a column file.
 

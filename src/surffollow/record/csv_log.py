@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.input_file import read_input
+from surffollow.config.input_file import contents_are_read, read_input
 from surffollow.errors import InputFileError, UsageError, escaped
 from surffollow.record.columns import Columns
 from surffollow.record.mcap_reader import MAGIC
@@ -77,6 +77,7 @@ class CsvLog:
         return CsvLog(self.t_s[keep], self.range_m[keep], self.pose[keep], reference, since, lines, written)
 
 
+@contents_are_read()
 def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     """Read a log.
 
@@ -110,6 +111,7 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, at, written)
 
 
+@contents_are_read()
 def read_numbers(path: str | Path, names: Sequence[str]) -> list[NDArray[np.float64]]:
     """Read columns of a CSV file as they are, in the order of `names`; NaN for an empty cell.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,12 @@ def length_scale(values: NDArray[np.float64]) -> tuple[float, str]:
     finite = values[np.isfinite(values)]
     spread = float(np.ptp(finite)) if finite.size else 0.0
     return (1e3, "mm") if spread < 0.5 else (1.0, "m")
+
+
+def error_scale(*errors: NDArray[np.float64]) -> tuple[float, str]:
+    """Factor and unit of all errors in a figure: mm where those that the axes show are below half a metre."""
+    shown = [robust_limits(e) for e in errors if np.isfinite(e).any()]
+    return length_scale(np.array([0.0, *itertools.chain(*shown)]))
 
 
 def spans(t: NDArray[np.float64], where: NDArray[np.bool_]) -> list[tuple[float, float]]:

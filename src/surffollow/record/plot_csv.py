@@ -14,7 +14,7 @@ from surffollow.record import figure as fg
 from surffollow.record.columns import Columns
 from surffollow.record.csv_replay import CsvReplay
 from surffollow.record.drawn_series import MAX_ROWS, draw_series, drawn_series, pauses, reduction
-from surffollow.record.forecast_scores import pair_forecasts, score_forecast
+from surffollow.record.forecast_scores import Pairs, pair_forecasts, score_forecast
 from surffollow.record.format import name_text
 from surffollow.units import numbers_text
 
@@ -50,10 +50,14 @@ def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | P
         figure.suptitle(_headline(file, replay), x=0.02, ha="left", fontsize=9)
         _draw_ground(axes[0], t, replay, columns)
         _draw_readings(axes[1], t, replay)
-        _draw_forecast(axes[2], t, replay, columns)
+        pairs = pair_forecasts(replay, columns, 0)
+        scores = [s for s in score_forecast(replay, columns) if math.isfinite(s["rms_m"])]
+        rms_m = np.array([[s["rms_m"], s["no_change_rms_m"]] for s in scores])
+        scale = fg.error_scale(pairs.forecast_m - pairs.truth_m, pairs.present_m - pairs.truth_m, rms_m)
+        _draw_forecast(axes[2], t, replay, columns.horizons_s[0], pairs, scale)
         axes[0].set_xlim(*((0.0, float(t[-1])) if t[-1] > 0.0 else (-1.0, 1.0)))
         axes[2].set(xlabel=f"time [s] since {numbers_text(float(replay.log.t_s[0]))} s of the log")
-        _draw_scores(figure.add_subplot(grid[3, 0]), replay, columns)
+        _draw_scores(figure.add_subplot(grid[3, 0]), scores, rms_m, scale)
         _draw_path(figure, figure.add_subplot(grid[3, 1]), replay, columns)
         fg.save_figure(figure, out)
     return Path(out)
@@ -116,13 +120,19 @@ def _draw_readings(ax: Any, t: NDArray[np.float64], replay: CsvReplay) -> None:
     ax.legend(loc="upper right", ncols=3, markerscale=2)
 
 
-def _draw_forecast(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Columns) -> None:
+def _draw_forecast(
+    ax: Any,
+    t: NDArray[np.float64],
+    replay: CsvReplay,
+    horizon_s: float,
+    pairs: Pairs,
+    scale: tuple[float, str],
+) -> None:
     """Errors of the forecasts at the first horizon, at the time that they were for."""
-    pairs = pair_forecasts(replay, columns, 0)
     predicted, still = pairs.forecast_m - pairs.truth_m, pairs.present_m - pairs.truth_m
     both = np.concatenate([predicted, still])
     every = -(-max(predicted.size, 1) // MAX_ROWS)
-    factor, unit = fg.length_scale(both)
+    factor, unit = scale
     fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
     for values, color, label in (
@@ -139,8 +149,7 @@ def _draw_forecast(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: 
     outside = int(np.sum(np.abs(both * factor) > reach))
     notes = [f"{outside} beyond the axis"] * (outside > 0) + [f"1 of {every} drawn"] * (every > 1)
     ax.set_title(
-        f"Distance {columns.horizons_s[0]:g} s ahead: forecast less reading"
-        + f" ({', '.join(notes)})" * bool(notes)
+        f"Distance {horizon_s:g} s ahead: forecast less reading" + f" ({', '.join(notes)})" * bool(notes)
     )
     ax.set(ylabel=f"error [{unit}]")
     if both.size:
@@ -149,23 +158,24 @@ def _draw_forecast(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: 
         ax.text(0.02, 0.9, "no forecast has a reading to compare with", va="top", transform=ax.transAxes)
 
 
-def _draw_scores(ax: Any, replay: CsvReplay, columns: Columns) -> None:
-    scores = [s for s in score_forecast(replay, columns) if math.isfinite(s["rms_m"])]
+def _draw_scores(
+    ax: Any, scores: list[dict[str, float]], rms_m: NDArray[np.float64], scale: tuple[float, str]
+) -> None:
+    """RMS (n, 2) of the forecast and of no change at each horizon that has a reading to compare with."""
     ax.set_title("Forecast error by horizon")
     if not scores:
         ax.axis("off")
         ax.text(0.0, 0.9, "no forecast has a reading to compare with", va="top", transform=ax.transAxes)
         return
     at = np.arange(len(scores))
-    values = np.array([[s["rms_m"], s["no_change_rms_m"]] for s in scores])
-    factor, unit = fg.length_scale(values.ravel())
-    ax.bar(at - 0.2, values[:, 1] * factor, 0.38, color=fg.GREY, label="no change")
-    bars = ax.bar(at + 0.2, values[:, 0] * factor, 0.38, color=fg.ORANGE, label="forecast")
-    ratios = values[:, 0] / np.where(values[:, 1] > 0, values[:, 1], np.nan)
+    factor, unit = scale
+    ax.bar(at - 0.2, rms_m[:, 1] * factor, 0.38, color=fg.GREY, label="no change")
+    bars = ax.bar(at + 0.2, rms_m[:, 0] * factor, 0.38, color=fg.ORANGE, label="forecast")
+    ratios = rms_m[:, 0] / np.where(rms_m[:, 1] > 0, rms_m[:, 1], np.nan)
     ax.bar_label(bars, [f"× {r:.2f}" if r == r else "" for r in ratios], fontsize=7, padding=2)
     ax.set_xticks(at, [f"{s['horizon_s']:g} s\nn = {s['n']:.0f}" for s in scores])
     ax.set(ylabel=f"RMS [{unit}]", xlabel="horizon")
-    ax.set_ylim(0.0, 1.3 * (float(values.max()) * factor or 1.0))
+    ax.set_ylim(0.0, 1.3 * (float(rms_m.max()) * factor or 1.0))
     ax.legend(loc="upper left")
 
 

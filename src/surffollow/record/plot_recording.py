@@ -60,10 +60,11 @@ def _headline(path: str | Path, data: FigureData) -> str:
     if source.wall_offset_ns:
         when = time.strftime("%Y-%m-%d %H:%M:%S UTC, ", time.gmtime(begin_ns // 1_000_000_000))
     valid = float(np.mean((o["status"] & VALID) != 0))
+    factor, unit, digits = _scale(data)
     text = (
         f"{name_text(path)}: {when}{data.t_s[-1]:.1f} s, {source.cycles} cycles of "
         f"{source.period_cycle_ns / 1e6:g} ms, {mode} mode\n"
-        f"stand-off RMS {fg.rms(data.error_m) * 1e3:.2f} mm where there was a distance; "
+        f"stand-off RMS {fg.rms(data.error_m) * factor:.{digits}f} {unit} where there was a distance; "
         f"demand valid {valid:.1%} of the time"
     )
     if source.segment > 0:
@@ -109,9 +110,15 @@ def _draw_ground(ax: Any, data: FigureData) -> None:
     ax.legend(loc="upper right", ncols=3)
 
 
+def _scale(data: FigureData) -> tuple[float, str, int]:
+    """Factor, unit and decimals of the figure's errors."""
+    factor, unit = fg.error_scale(data.error_m, *forecast_errors(data))
+    return factor, unit, 2 if unit == "mm" else 3
+
+
 def _draw_error(ax: Any, data: FigureData) -> None:
-    factor, unit = fg.length_scale(np.array(fg.robust_limits(data.error_m)))
-    error, digits = data.error_m * factor, 2 if unit == "mm" else 3
+    factor, unit, digits = _scale(data)
+    error = data.error_m * factor
     fg.shade(ax, _gaps(data), fg.SAND, "no distance")
     invalid = (data.rows["output"]["status"] & VALID) == 0
     fg.shade(ax, fg.spans(data.t_s, invalid), "#f6d5cf", "demand not valid")
@@ -162,19 +169,20 @@ def forecast_errors(
 
 def _draw_forecast(ax: Any, data: FigureData) -> None:
     predicted, still = forecast_errors(data)
+    factor, unit, digits = _scale(data)
     fg.shade(ax, _gaps(data), fg.SAND, "no distance")
     ax.axhline(0.0, color=fg.INK, lw=0.6)
     for error, size, color, what in (
         (still, 1.2, fg.GREY, "ground taken as level"),
         (predicted, 1.4, fg.ORANGE, "forecast by height and slope"),
     ):
-        label = f"{what}: RMS {fg.rms(error) * 1e3:.2f} mm"
-        ax.plot(data.t_s, error * 1e3, ".", ms=size, color=color, rasterized=True, label=label)
-    low, high = fg.robust_limits(np.concatenate([predicted, still]) * 1e3)
+        label = f"{what}: RMS {fg.rms(error) * factor:.{digits}f} {unit}"
+        ax.plot(data.t_s, error * factor, ".", ms=size, color=color, rasterized=True, label=label)
+    low, high = fg.robust_limits(np.concatenate([predicted, still]) * factor)
     reach = max(abs(low), abs(high))
     ax.set_ylim(-reach, 1.35 * reach)
     ax.set_title(f"Ground under the tool {HORIZON_S:g} s ahead: forecast less the height that was known then")
-    ax.set(ylabel="error [mm]")
+    ax.set(ylabel=f"error [{unit}]")
     ax.legend(loc="upper right", ncols=3, markerscale=5)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.input_file import contents_are_read
 from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import ScanFileError
 from surffollow.scan.check_finding import Finding
@@ -74,6 +75,7 @@ class Poses:
         return np.asarray(np.isfinite(self.position).all(axis=1))
 
 
+@contents_are_read()
 def read_rows(path: str | os.PathLike[str]) -> tuple[Facts, dict[str, Array], Poses]:
     """Facts, columns by name and poses of a path file.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surffollow.config.input_file import check_plain_file
+from surffollow.config.input_file import check_plain_file, contents_are_read
 from surffollow.errors import ScanFileError, ScanInputError
 from surffollow.scan.checks import Floats, near
 
@@ -33,6 +33,7 @@ _PLY_TYPES = {
 }
 
 
+@contents_are_read()
 def read_cloud(path: str | os.PathLike[str]) -> Floats:
     """(n, 3) points of a file [m].
 

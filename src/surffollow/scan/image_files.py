@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.config.input_file import check_plain_file
+from surffollow.config.input_file import check_plain_file, contents_are_read
 from surffollow.config.toml_file import read_toml
 from surffollow.errors import ScanFileError
 from surffollow.extras import install_command
@@ -41,6 +41,7 @@ class DepthImage:
     camera: Camera
 
 
+@contents_are_read()
 def read_images(
     files: list[str | os.PathLike[str]], cameras: str | os.PathLike[str] | None
 ) -> list[DepthImage]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from surffollow.config.input_file import contents_are_read
 from surffollow.errors import ScanInputError
 from surffollow.scan.checks import positive
 from surffollow.scan.grid import TerrainGrid
@@ -16,6 +17,7 @@ WARNED_PART = 0.01  # of the gap: half a step above it is warned of
 REFUSED_PART = 0.1  # and above this refused
 
 
+@contents_are_read()
 def read_ground(path: str | os.PathLike[str]) -> tuple[TerrainGrid, HeightMap | None]:
     """A terrain grid of a map file; heights of a raster (.asc, .tif) in full precision.
 

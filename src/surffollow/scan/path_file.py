@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surffollow.config.input_file import contents_are_read
 from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import ScanFileError
 from surffollow.map.formats.atomic_file import replacing
@@ -157,6 +158,7 @@ def _check_places(path: str | os.PathLike[str], at: dict[str, Floats]) -> None:
             )
 
 
+@contents_are_read()
 def read_path(path: str | os.PathLike[str]) -> ScanPath:
     """Read a path file.
 

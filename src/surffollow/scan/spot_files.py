@@ -6,7 +6,7 @@ import os
 
 import numpy as np
 
-from surffollow.config.input_file import check_plain_file
+from surffollow.config.input_file import check_plain_file, contents_are_read
 from surffollow.errors import ScanFileError
 from surffollow.scan.checks import Floats
 from surffollow.scan.grid import TerrainGrid
@@ -15,6 +15,7 @@ from surffollow.sim.column_file import read_columns
 from surffollow.units import decimal_number, numbers_text
 
 
+@contents_are_read()
 def read_spots(path: str | os.PathLike[str], map_file: str | os.PathLike[str] | None = None) -> Floats:
     """(n, 3) x, y and correction [m] of a CSV file with a header line.
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.config.input_file import check_plain_file
+from surffollow.config.input_file import check_plain_file, contents_are_read
 from surffollow.config.toml_file import read_toml
 from surffollow.errors import MapFileError, ScanFileError, ScanInputError
 from surffollow.scan.camera import rigid_transform
@@ -39,6 +39,7 @@ class Station:
     common_from_station: Floats
 
 
+@contents_are_read()
 def read_stations(path: str | os.PathLike[str]) -> list[Station]:
     """Read a TOML file of stations: tables [stations."MAP"], each with a pose; maps lie beside the file.
 

@@ -15,23 +15,19 @@
 from __future__ import annotations
 
 import contextlib
+from abc import ABCMeta
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import Any
 
 from numba.core import base, errors, lowering, typeinfer, types
 
+from surffollow.shm.replaced_functions import Replacement, is_known, replaced
+
 _Context: Any = base.BaseContext
-_Selector: Any = base.OverloadSelector
-_base: Any = base  # as `Any`: functions of these modules are replaced
-_errors: Any = errors
-_lowering: Any = lowering
-_typeinfer: Any = typeinfer
 _TypeClass: Any = type(types.Type)
 _get_ordinarily: Any = _Context.get_function
-_find_ordinarily: Any = _Selector._find
-_has_loc_ordinarily: Any = _base._has_loc
-_error_context: Any = _errors.new_error_context
+_error_context: Any = getattr(errors, "new_error_context", None)
 _missing: set[Any] = set()  # names of operations with types that have no implementation of their own
 _FRAME_WORDS = 66_000  # more than half a chunk of 1 MiB: the other half is for the calls
 
@@ -87,21 +83,30 @@ def _with_room(call: Callable[[], Any]) -> Any:
 _with_room.__code__ = _with_room.__code__.replace(co_stacksize=_FRAME_WORDS)
 
 
+def _replacements() -> Iterator[Replacement]:
+    """Name what is replaced: functions that this version of numba has as they are known."""
+    if is_known(_Context, "get_function", "self fn sig _firstcall"):
+        yield _Context, "get_function", _get_function
+    selector = getattr(base, "OverloadSelector", None)
+    uses = "_select_compatible _best_signature errors NumbaNotImplementedError"
+    if is_known(selector, "_find", "self sig", uses):
+        yield selector, "_find", _find
+    if is_known(base, "_has_loc", "fn"):
+        yield base, "_has_loc", lru_cache(1 << 12)(getattr(base, "_has_loc"))  # noqa: B009
+    if is_known(errors, "new_error_context", "fmt_ args kwargs"):
+        for module in (lowering, typeinfer):
+            if vars(module).get("new_error_context") is _error_context:
+                yield module, "new_error_context", _ErrorContext
+    if getattr(_TypeClass, "__instancecheck__", None) is ABCMeta.__instancecheck__:
+        yield _TypeClass, "__instancecheck__", type.__instancecheck__
+
+
 @contextlib.contextmanager
 def shortcuts() -> Iterator[Callable[[Callable[[], Any]], Any]]:
     """Use the shortcuts while kernels compile; gives what calls with room. Under numba's lock."""
-    if _Context.get_function is _get_function:  # a kernel that a kernel calls
-        yield _call
-        return
-    _TypeClass.__instancecheck__ = type.__instancecheck__
-    _Context.get_function, _Selector._find = _get_function, _find
-    _base._has_loc = lru_cache(1 << 12)(_has_loc_ordinarily)
-    _lowering.new_error_context = _typeinfer.new_error_context = _ErrorContext
-    try:
-        yield _with_room
-    finally:
-        del _TypeClass.__instancecheck__  # that of its own class is in force again
-        _Context.get_function, _Selector._find = _get_ordinarily, _find_ordinarily
-        _base._has_loc = _has_loc_ordinarily
-        _lowering.new_error_context = _typeinfer.new_error_context = _error_context
-        _missing.clear()
+    with replaced(_replacements) as outermost:
+        try:
+            yield _with_room if outermost else _call
+        finally:
+            if outermost:
+                _missing.clear()

@@ -8,21 +8,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba.core import typed_passes, untyped_passes
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager
 
-_NOT_NEEDED = (
-    untyped_passes.WithLifting,
-    untyped_passes.InlineClosureLikes,
-    untyped_passes.RewriteDynamicRaises,
-    untyped_passes.MakeFunctionToJitFunction,
-    untyped_passes.FindLiterallyCalls,
-    untyped_passes.LiteralUnroll,
-    untyped_passes.LiteralPropagationSubPipelinePass,
-    typed_passes.NoPythonSupportedFeatureValidation,
-    typed_passes.AnnotateTypes,
-    typed_passes.DumpParforDiagnostics,
+_NOT_NEEDED = (  # names: a version of numba may lack one
+    "WithLifting",
+    "InlineClosureLikes",
+    "RewriteDynamicRaises",
+    "MakeFunctionToJitFunction",
+    "FindLiterallyCalls",
+    "LiteralUnroll",
+    "LiteralPropagationSubPipelinePass",
+    "NoPythonSupportedFeatureValidation",
+    "AnnotateTypes",
+    "DumpParforDiagnostics",
 )
 
 
@@ -34,7 +33,7 @@ class KernelPipeline(CompilerBase):
         usual = DefaultPassBuilder.define_nopython_pipeline(self.state)
         steps = PassManager("kernel")
         for step, about in usual.passes:
-            if step not in _NOT_NEEDED:
+            if step.__name__ not in _NOT_NEEDED:
                 steps.add_pass(step, about)
         steps.finalize()
         return [steps]

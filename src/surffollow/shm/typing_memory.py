@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from numba.core import types
-from numba.core.targetconfig import ConfigStack
+from numba.core import targetconfig, types
 from numba.core.typing import Context
+
+from surffollow.shm.replaced_functions import Replacement, is_known, replaced
 
 _known: dict[Any, tuple[Any, Any]] = {}  # function, arguments, options → signature, key of the implementation
 _resolve_ordinarily: Any = Context.resolve_function_type
@@ -22,15 +23,19 @@ _call_ordinarily: Any = types.Function.get_call_type
 
 def _recall(find: Any, function: Any, args: Any) -> Any:
     """The signature of a function for arguments as it is known, or as `find` finds it; or None."""
-    options = ConfigStack.top_or_none()
-    key = function, args, repr(options and options._values)
+    try:
+        options = targetconfig.ConfigStack.top_or_none()
+        key = function, args, repr(options and options._values)
+        implementations = function._impl_keys
+    except AttributeError:  # in another version of numba
+        return find()
     if key in _known:
         signature, implementation = _known[key]
-        function._impl_keys[signature.args] = implementation
+        implementations[signature.args] = implementation
         return signature
     signature = find()
-    if signature is not None and signature.args in function._impl_keys:
-        _known[key] = signature, function._impl_keys[signature.args]
+    if signature is not None and signature.args in implementations:
+        _known[key] = signature, implementations[signature.args]
     return signature
 
 
@@ -47,16 +52,17 @@ def _call_type(function: Any, context: Any, args: Any, kws: Any) -> Any:
     return find() if kws else _recall(find, function, args)
 
 
+def _replacements(context: Any) -> Iterator[Replacement]:
+    """Name what is replaced: functions that this version of numba has as they are known."""
+    finds = is_known(Context, "resolve_function_type", "self func args kws")
+    if finds and is_known(Context, "_lookup_global", "self gv"):
+        yield context, "resolve_function_type", partial(_resolve, context)
+    if is_known(types.Function, "get_call_type", "self context args kws"):
+        yield types.Function, "get_call_type", _call_type
+
+
 @contextlib.contextmanager
 def remembered(context: Any) -> Iterator[None]:
     """Remember, and use what is remembered, in numba's typing context; under numba's lock."""
-    if "resolve_function_type" in vars(context):  # a kernel that a kernel calls
+    with replaced(_replacements, context):
         yield
-        return
-    context.resolve_function_type = partial(_resolve, context)
-    types.Function.get_call_type = _call_type
-    try:
-        yield
-    finally:
-        types.Function.get_call_type = _call_ordinarily
-        del context.resolve_function_type

@@ -13,10 +13,11 @@ from typing import Any
 
 from numba.core import ir, postproc, transforms
 
+from surffollow.shm.replaced_functions import Replacement, is_known, replaced
+
 _Processor: Any = postproc.PostProcessor
 _Part: Any = ir.Inst
 _run_ordinarily: Any = _Processor.run
-_list_ordinarily: Any = _Part._rec_list_vars
 
 
 def _run(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
@@ -54,14 +55,20 @@ def _list(part: Any, value: Any) -> Any:
     return found
 
 
+def _replacements() -> Iterator[Replacement]:
+    """Name what is replaced: functions that this version of numba has as they are known."""
+    uses = """func_ir blocks transforms canonicalize_cfg VariableLifetime variable_lifetime analysis items
+        compute_live_variables cfg usedefs defmap deadmaps combined block_entry_vars is_generator
+        GeneratorInfo generator_info _compute_generator_info _insert_var_dels"""
+    if is_known(_Processor, "run", "self emit_dels extend_lifetimes", uses):
+        yield _Processor, "run", _run
+    uses = "isinstance Var Inst list_vars list tuple extend _rec_list_vars dict values"
+    if is_known(_Part, "_rec_list_vars", "self val", uses):
+        yield _Part, "_rec_list_vars", _list
+
+
 @contextlib.contextmanager
 def lifetimes_when_used() -> Iterator[None]:
     """Spare numba what nothing uses while kernels compile; under numba's lock."""
-    if _Processor.run is _run:  # a kernel that a kernel calls
+    with replaced(_replacements):
         yield
-        return
-    _Processor.run, _Part._rec_list_vars = _run, _list
-    try:
-        yield
-    finally:
-        _Processor.run, _Part._rec_list_vars = _run_ordinarily, _list_ordinarily

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.input_file import check_plain_file
+from surffollow.config.input_file import check_plain_file, contents_are_read
 from surffollow.errors import InputFileError, UsageError
 from surffollow.map.formats.npz import DAMAGED_ARCHIVE
 from surffollow.sim.column_file import read_columns
@@ -47,6 +47,7 @@ class PathTable:
     stop: NDArray[np.bool_]
 
 
+@contents_are_read()
 def read_path_table(file: str) -> PathTable:
     """Read a path file.
 
@@ -62,7 +63,8 @@ def read_path_table(file: str) -> PathTable:
         it cannot be read
     UsageError
         it lacks a column, holds what is no number, or cannot be: times that go back, speeds
-        that are not positive, a quaternion whose norm is not 1, another unit in a column's name
+        that are not positive, a quaternion whose norm is not 1, another unit in a column's name,
+        corners at one place
     """
     columns = _read_npz(file) if file.lower().endswith(".npz") else _read_csv(file)
     _check_names(file, columns)
@@ -86,6 +88,13 @@ def read_path_table(file: str) -> PathTable:
         norm = np.linalg.norm(attitude, axis=1)
         _check(file, "qx qy qz qw", np.abs(norm - 1.0) <= NORM_TOLERANCE, norm, "of norm 1")
         attitude /= norm[:, None]
+    moves = np.hypot(np.diff(columns["x_m"]), np.diff(columns["y_m"])) > 0.0
+    if not moves.any():
+        raise UsageError(f"path '{file}' needs two or more different corners")
+    if "z_m" in columns and (np.diff(columns["z_m"])[~moves] != 0.0).any():
+        raise UsageError(
+            f"path '{file}' changes z_m at one place; the robot's height changes on its way only"
+        )
     stop = columns.get("stop", np.zeros(len(columns["x_m"])))
     _check(file, "stop", (stop == 0.0) | (stop == 1.0), stop, "1 (stop) or 0 (pass)")
     return PathTable(

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import msgspec
 from numpy.typing import NDArray
 
+from surffollow.config.input_file import contents_are_read
 from surffollow.config.key_errors import key_error_text
 from surffollow.config.toml_file import read_toml
 from surffollow.errors import ConfigError, UsageError
@@ -97,6 +98,7 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     return read_toml(path, "plant", ConfigError)
 
 
+@contents_are_read()
 def load_plant(path: str | Path) -> PlantConfig:
     """Read a `PlantConfig` from a TOML file; its keys are the fields, at top level or under [plant].
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.input_file import check_plain_file
+from surffollow.config.input_file import check_plain_file, contents_are_read
 from surffollow.config.pose_limits import MAX_POSITION_M
 from surffollow.errors import InputFileError, UsageError
 from surffollow.sim.profiles import MARGIN_M, SPACING_M, Profile, grid_x, made
@@ -58,6 +58,7 @@ def _load(file: str, key: str) -> NDArray[np.float64]:
 MEASURED: dict[str, Callable[[int], Profile]] = {"jacksboro": jacksboro, "microscope": microscope}
 
 
+@contents_are_read()
 def read_csv(path: str | Path) -> Profile:
     """Read a profile from a CSV file whose columns are x_m and height_m (a header line is optional).
 

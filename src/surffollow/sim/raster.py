@@ -121,8 +121,6 @@ def file_path(file: str, speed_mps: float, accel_mps2: float, region: Region | N
     table = read_path_table(file)
     x, y = table.x_m, table.y_m
     steps = np.hypot(np.diff(x), np.diff(y))
-    if not (steps > 0.0).any():
-        raise UsageError(f"path '{file}' needs two or more different corners")
     if region is not None:
         _check_inside(file, x, y, region)
     _check_length(float(steps.sum()))
@@ -142,10 +140,6 @@ def file_path(file: str, speed_mps: float, accel_mps2: float, region: Region | N
     path.points[:, 2] = passed
     if table.z_m is not None:
         path.points[:, 3] = np.interp(s, along[moves], table.z_m[moves])
-        if (np.diff(table.z_m)[~moves[1:]] != 0.0).any():
-            raise UsageError(
-                f"path '{file}' changes z_m at one place; the robot's height changes on its way only"
-            )
     attitudes = None if table.attitude is None else _turned_along(s, along[moves], table.attitude[moves])
     return Path(path.points, path.spacing_m, table.z_m is not None, attitudes, waits)
 

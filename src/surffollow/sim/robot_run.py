@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import msgspec
@@ -21,7 +20,6 @@ from surffollow.sim.world import WorldWriter
 
 RETRY_NS = 200_000_000
 LOOK_NS = 1_000_000_000
-FIFO_PRIORITY = 20  # above other programs, below any service
 FINAL = (RefusedError, NoPermissionError, LayoutMismatchError)  # another attempt ends as this one did
 
 
@@ -212,24 +210,6 @@ class Controller:
 def held_too_long(ticks: int, held: int) -> bool:
     """Whether a robot stood still, without a valid demand, for so long that it did not follow."""
     return held > HELD_PART * ticks + HELD_TICKS
-
-
-@contextlib.contextmanager
-def hardware_priority() -> Iterator[None]:
-    """Let this thread go before others meanwhile, where permitted: hardware does not wait for a busy machine.
-
-    Programs and threads that it starts are not hardware: they begin at the usual priority.
-    """
-    before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(FIFO_PRIORITY))
-    try:
-        yield
-    finally:
-        # a user without rights cannot take the reset at a fork back
-        for policy in (before | os.SCHED_RESET_ON_FORK, before):
-            with contextlib.suppress(OSError):
-                os.sched_setscheduler(0, policy, parameters)
 
 
 def run_robot(

@@ -13,6 +13,8 @@ from pathlib import Path
 from surffollow.errors import MapCancelledError, MapFileError, UsageError
 
 FilePath = str | os.PathLike[str]
+_LINKS = 40  # as many as the kernel follows
+_SHARED = stat.S_ISVTX | stat.S_IWOTH  # a folder in which all users make names, and remove only their own
 Progress = Callable[[float], object]
 """Called with the finished fraction, 0 … 1; returning False (not None) cancels."""
 
@@ -79,10 +81,32 @@ def _names(path: FilePath) -> tuple[Path, Path]:
     if os.path.exists(target) and not os.path.isfile(target):
         # renaming over a device or a pipe would take its place
         raise MapFileError(f"{target} is there and is no plain file; choose another name")
-    if os.path.islink(target):
-        target = Path(os.path.realpath(target))
+    target = _behind_links(target)
     # a name as long as the file system takes has a shorter temporary one
     return target, target.with_name(f".{target.name[:50]}.{secrets.token_hex(8)}{target.suffix[-50:]}")
+
+
+def _behind_links(path: Path) -> Path:
+    """The file that a name leads to, by the links that the kernel follows (`fs.protected_symlinks`).
+
+    In a folder such as /tmp another user's link does not choose which file of ours is replaced. The kernel
+    sees no link, because the file is renamed to what it leads to.
+    """
+    target = path
+    for _ in range(_LINKS):
+        try:
+            if not os.path.islink(target):
+                return target
+            owner, folder = os.lstat(target).st_uid, os.stat(target.parent)
+            shared = folder.st_mode & _SHARED == _SHARED
+            if shared and owner not in (os.geteuid(), folder.st_uid):
+                raise MapFileError(
+                    f"cannot write {path}: {target} is a link of user {owner}; choose another name"
+                )
+            target = target.parent / os.readlink(target)
+        except OSError as e:
+            raise MapFileError(f"cannot write {path}: {e.strerror or e}; choose another name") from e
+    raise MapFileError(f"cannot write {path}: it leads through too many links; choose another name")
 
 
 def _make(target: Path, temporary: Path) -> None:
