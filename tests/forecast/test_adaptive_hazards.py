@@ -538,7 +538,7 @@ def test_bent_beams_are_those_that_no_plane_fits(seed):
 def test_known_ground_is_compared_as_its_naive_twin_does(seed):
     rng = np.random.default_rng(seed)
     a, inputs = zeros(FollowState)[0]["adaptive"], zeros(Inputs)[0]
-    a["noise"]["sigma_m"], a["sample"]["spacing_m"] = 1e-4, 4e-4
+    a["noise"]["sigma_m"], a["kinematics"]["speed_mps"] = 1e-4, 0.1
     a["plant"]["tau_s"], interval_s = 0.04, (4e-3, 20e-3)
     inputs["n_preview"], inputs["preview_from_m"], inputs["preview_step_m"] = 6, -2.5e-3, 1e-3
     run, peak, drops, bias = 0, 0.0, 0.0, 0.0
@@ -549,6 +549,7 @@ def test_known_ground_is_compared_as_its_naive_twin_does(seed):
         ]
         known[1] = h + 2e-3 * float(rng.standard_normal())
         inputs["preview_m"][:6] = np.repeat(known, 2)
+        a["hold"]["interval_s"] = interval_s[0]
         wrong = compare_known_ground(a, inputs, 0.0, h)
         given = [v for v in known if v == v]
         agrees = min(given) - 1.5e-3 < h - bias < max(given) + 1.5e-3

@@ -125,12 +125,12 @@ def test_poses_with_old_timestamps_under_a_slow_controller_are_no_worse_than_a_p
     """GIVEN poses stamped τ too early, every τ: all samples lie behind the newest report."""
     job = replace(ARM, reading_s=reading_s)
     ours, plain = [], []
-    for seed in range(3):
+    for seed in range(16):
         drive = (job, rolling_m(seed), 8.0, 0.15 * STANDOFF_M / TAU_S)
         ours.append(follow(*drive, seed=seed, pose_older_s=TAU_S).rms_m(job))
         plain.append(follow(*drive, seed=seed, plain=True).rms_m(job))
     print(f"readings every {reading_s} s: {np.mean(ours) / np.mean(plain):.2f} of a P loop")
-    assert np.mean(ours) < 0.9 * np.mean(plain)
+    assert np.mean(ours) < np.mean(plain)
 
 
 def test_the_first_setpoint_of_a_service_is_in_force_before_the_second_report():

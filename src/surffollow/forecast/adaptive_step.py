@@ -7,6 +7,7 @@ import math
 
 from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
+from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.modes import orients
 from surffollow.forecast.plant import axis_model, controller_clock, plant_identification, shadow_axes
 from surffollow.forecast.pose import newest_pose
@@ -172,12 +173,14 @@ def publish_estimate(params, adaptive, output):
     Interval_Size and Range_Size: a mean over n samples has the variance of a filter with gain 2 / (n + 1).
     """
     motion, found, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
-    noise_m, scale_m, spacing_m = adaptive.noise.sigma_m, adaptive.gate.scale_m, adaptive.sample.spacing_m
+    noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m
     output.latency_s = params.sensor_latency_ns * 1e-9 + adaptive.latency.correction_s
     output.permitted_variance_m = setpoint_blend.permitted_variance_m(params, adaptive)
     output.interval_size_m, output.range_size = params.interval_size_m, params.range_size
     if estimate.samples > 0:
-        travel_m = (2.0 / min(max(estimate.gain, 1e-4), 1.0) - 1.0) * spacing_m  # of the mean, bounded
+        spacing_m = motion.speed_mps * adaptive.hold.interval_s
+        gain = (estimate.sigma_m / assumed_noise_m(adaptive.noise)) ** 2  # just after an update
+        travel_m = (2.0 / min(max(gain, 1e-4), 1.0) - 1.0) * spacing_m  # of the mean, bounded
         interval_m = max(min(params.interval_size_m, travel_m), spacing_m, 1e-6)
         output.interval_size_m = interval_m
         output.range_size = min(max(int(travel_m / interval_m + 0.5), 1), layout.INTERVALS // 2)

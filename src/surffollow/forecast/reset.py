@@ -1,7 +1,7 @@
 """Resets of the whole follower: the records that each of them clears, also those of other owners."""
 
 from surffollow.forecast.attitude.rotation_response import reset_rotation
-from surffollow.forecast.estimation.estimate import discard_estimate
+from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
 from surffollow.forecast.sensing.constant_ranges import forget_slopes
 from surffollow.forecast.sensing.response import restart_test
 from surffollow.forecast.setpoint.setpoint_limits import release_setpoint
@@ -42,6 +42,23 @@ def begin_anew(state, fault):
 
 
 @jit
+def begin_fresh(adaptive):
+    """Begin the estimate without knowledge of noise and ground: the index prefers no model.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (updated)
+    """
+    weights, lead, gate, estimate = adaptive.weights, adaptive.lead, adaptive.gate, adaptive.estimate
+    weights.recent_m2[:] = weights.longer_m2[:] = 1e-6  # (1 mm)²
+    lead.excess_m2[:] = lead.effect_m2[:] = lead.left_out[:] = adaptive.shadow.effort[:] = 0.0
+    weights.scored = 0
+    adaptive.noise.sigma_m = adaptive.noise.range_sigma_m = INITIAL_NOISE_M
+    gate.scale_m, gate.slot_likelihood = 2.0 * INITIAL_NOISE_M, 1.0
+    estimate.slope_power = estimate.quick_slope_power = estimate.kept_slope_power = 0.0
+
+
+@jit
 def forget_surface(state):
     """SFReset: begin both modes with the next sample.
 
@@ -53,8 +70,8 @@ def forget_surface(state):
     """
     clear_record(state, PAPER)
     adaptive = state[0].adaptive
-    discard_estimate(adaptive.estimate)
-    adaptive.estimate.confirmed_ns = 0  # the loss time-out counts from the next sample
+    # the estimate and the loss time-out begin with the next sample
+    adaptive.estimate.samples = adaptive.estimate.confirmed_ns = 0
     # the tests of the sensor begin anew with the next sample; the usual number of repeated ranges stays
     restart_test(adaptive.response)
     forget_slopes(adaptive.run)

@@ -140,7 +140,6 @@ class Estimate(Schema):
     kept_slope_power = F64(unit="1", doc="slope_power before a rest")
     slope_power = F64(unit="1", doc="mean squared slope over the last metre")
     quick_slope_power = F64(unit="1", doc="the same by the model `QUICK`, whatever its weight")
-    gain = F64(doc="gain of the blended height")
     sigma_m = F64(unit="m", doc="standard deviation of the height, spread of the models included")
 
 

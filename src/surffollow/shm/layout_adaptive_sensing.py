@@ -28,9 +28,8 @@ class Kinematics(Schema):
     reports = I64(doc="pose reports that entered so far")
     jump_ns = I64(unit="ns", doc="timestamp of the first report after a jump of the position; 0: none")
     jump = I64(doc="JUMP_SEEN, or the jump behind which no sample was accepted: JUMP_ASIDE, JUMP_UP")
-    scatter_m = F64(unit="m", doc="usual lateral distance of a report from where the velocity leads")
-    climb_scatter_m = F64(unit="m", doc="the same of the height at constant velocity")
-    noise_m = F64(unit="m", doc="as `scatter_m`, but from 0: noise of the position")
+    climb_scatter_m = F64(unit="m", doc="usual distance of a reported height from where the climb rate leads")
+    noise_m = F64(unit="m", doc="the same aside, but from 0: noise of the position")
 
 
 class Hold(Schema):
@@ -78,7 +77,6 @@ class Sample(Schema):
     y_m = F64(unit="m")
     heading_x = F64(unit="1", doc="unit vector of the way, by velocity; slow sensors: by footprints; 0: none")
     heading_y = F64(unit="1")
-    spacing_m = F64(unit="m", doc="usual distance travelled between samples")
     pose_count = I64(
         doc="number of the report behind which a sample was used though heights between reports are unknown"
     )

@@ -4,10 +4,10 @@ import math
 
 from surffollow.forecast import elementary
 from surffollow.forecast.estimation import earlier_bank, innovation_gate, model_bank, model_weights, noise
-from surffollow.forecast.estimation.setpoint_lead import reset_lead
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
+from surffollow.forecast.reset import begin_fresh
 from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.forecast.terrain.terrain_buffer import sensor_leads, store_ground_under
@@ -31,7 +31,6 @@ def blend_models(adaptive):
         spread += weights.weight[i] * e * e
     estimate.height_m, estimate.slope = h, model_weights.blended(adaptive, bank.slope)
     estimate.sigma_m = math.sqrt(variance + spread)
-    estimate.gain = variance / noise.assumed_noise_m(adaptive.noise) ** 2  # just after an update
 
 
 @jit
@@ -51,19 +50,15 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh):
     standoff_m : float64  desired height of the tool above the ground [m]
     fresh : bool          nothing is known, or it was learned from bad samples
     """
-    gate, shadow, weights, estimate = adaptive.gate, adaptive.shadow, adaptive.weights, adaptive.estimate
+    estimate = adaptive.estimate
     model_bank.reset_bank(adaptive.bank, h_m, noise.INITIAL_NOISE_M * noise.INITIAL_NOISE_M)
-    shadow_axes.reset_shadows(shadow, t_ns, h_m + standoff_m)
+    shadow_axes.reset_shadows(adaptive.shadow, t_ns, h_m + standoff_m)
     if fresh:
-        model_weights.reset_index(weights)
-        reset_lead(adaptive.lead)
-        shadow_axes.reset_effort(shadow)
-        noise.initialise_noise(adaptive.noise)
-        estimate.slope_power = estimate.quick_slope_power = estimate.kept_slope_power = 0.0
+        begin_fresh(adaptive)
     estimate.samples, estimate.kept_slope = 1, 0.0
     if fresh or adapts(params, adaptive):
         model_weights.update_weights(params, adaptive, math.inf)  # without their filter
-    innovation_gate.reset_gate(gate, adaptive.pending, fresh)
+    innovation_gate.reset_gate(adaptive.gate, adaptive.pending)
     earlier_bank.drop_bank(adaptive.earlier)
     estimate.sample_ns = estimate.accepted_ns = t_ns
     if estimate.confirmed_ns == 0:

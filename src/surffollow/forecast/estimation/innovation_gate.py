@@ -17,7 +17,6 @@
 import math
 
 from surffollow.forecast.estimation import pending_samples
-from surffollow.forecast.estimation.noise import INITIAL_NOISE_M
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.quantities import (
     CONFIRMATION_SAMPLES,
@@ -193,10 +192,8 @@ def withheld_setpoint(adaptive, standoff_m):
 
 
 @jit
-def reset_gate(gate, pending, fresh):
-    """Drop pending samples and the last step; scale and likelihood of slots stay but in a fresh start."""
-    if fresh:
-        gate.scale_m, gate.slot_likelihood = 2.0 * INITIAL_NOISE_M, 1.0
+def reset_gate(gate, pending):
+    """Drop pending samples and the last step; scale and likelihood of slots stay."""
     pending_samples.reset_pending(pending)
     gate.unconfirmed_m = gate.withheld_m = gate.travel_since_step_m = gate.step_m = 0.0
     gate.nearer = gate.step_ns = 0

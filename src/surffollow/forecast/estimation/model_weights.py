@@ -116,11 +116,3 @@ def update_weights(params, adaptive, dt_s):
     for i in range(N_MODELS):
         weights.weight[i] += rate / total * weights.cost[i] - rate * weights.weight[i]
     weights.waiting_s = 0.0
-
-
-@jit
-def reset_index(weights):
-    """Set the performance index of all models to the same value, (1 mm)², so that it prefers none."""
-    weights.recent_m2[:] = 1e-6
-    weights.longer_m2[:] = 1e-6
-    weights.scored = 0

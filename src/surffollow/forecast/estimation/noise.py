@@ -50,12 +50,6 @@ def update_noise(adaptive, h_m):
 
 
 @jit
-def initialise_noise(noise):
-    """Assume the noise of a start without knowledge."""
-    noise.sigma_m = noise.range_sigma_m = INITIAL_NOISE_M
-
-
-@jit
 def shift_heights(noise, shift_m):
     """Shift the recent heights by that of a confirmed step."""
     noise.recent_m[0] += shift_m

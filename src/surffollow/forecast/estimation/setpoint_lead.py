@@ -37,11 +37,3 @@ def update_lead(params, adaptive, recent_rate, longer_rate, target_m):
             lead.effect_m2[k] += rate * (effect_m * effect_m - lead.effect_m2[k])
             part = lead.excess_m2[k] / (lead.effect_m2[k] + floor_m2)
             lead.left_out[i] = min(max(part, 0.0), lead.left_out[i])
-
-
-@jit
-def reset_lead(lead):
-    """Leave nothing out."""
-    lead.excess_m2[:] = 0.0
-    lead.effect_m2[:] = 0.0
-    lead.left_out[:] = 0.0

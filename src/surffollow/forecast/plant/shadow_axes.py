@@ -91,9 +91,3 @@ def record_setpoints(adaptive):
             # (10 m/s²)² bounds the memory of a step
             shadow.effort[i] += QUICK_RATE * (min(accel * accel, 100.0) - shadow.effort[i])
         before_m[i], before_m[N_MODELS + i] = newest_m[i], one_m
-
-
-@jit
-def reset_effort(shadow):
-    """Set the mean squared acceleration of all setpoints to zero."""
-    shadow.effort[:] = 0.0

@@ -77,8 +77,7 @@ def note_jump(params, kinematics, sense, last):
         before_x, before_y, _, before_s = velocity_between(sense, last - 2, last - 1)
         if 0.0 < before_s <= PAUSE_NS * 1e-9:
             aside = min(aside, elementary.hypot(vx - before_x, vy - before_y) * dt)
-    most_aside = max(0.02, params.gate_scales * kinematics.scatter_m)  # 20 mm aside are no jump
-    kinematics.scatter_m = follow_usual(kinematics.scatter_m, min(aside, most_aside))
+    most_aside = max(0.02, params.gate_scales * kinematics.noise_m)  # 20 mm aside are no jump
     # from 0: a first report that starts or stops the tool is no noise
     kinematics.noise_m += (min(aside, most_aside) - kinematics.noise_m) / USUAL_SAMPLES
     climbed = up > most_up

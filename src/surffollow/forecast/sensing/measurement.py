@@ -173,7 +173,6 @@ def advance_path(params, adaptive, t_ns, x_m, y_m, pose):
     if known and is_slow(adaptive) and not kinematics.spans_jump(motion):
         travel = elementary.hypot(x_m - sample.x_m, y_m - sample.y_m)
     follow_heading(adaptive, x_m, y_m)
-    sample.spacing_m = follow_usual(sample.spacing_m, travel)
     sample.x_m, sample.y_m = x_m, y_m
     if not kinematics.is_at_rest(motion):
         lead_m = footprint_lead(adaptive, pose, 0)

@@ -88,7 +88,8 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     known.difference_m2[source] += QUICK_RATE * (difference_m * difference_m - known.difference_m2[source])
     known.contradictions = 0 if agrees else known.contradictions + 1
     drop_length_m = 2.0 * APART_M  # over which a drop is taken; a map is not used for as long after an error
-    fading = min(adaptive.sample.spacing_m / drop_length_m, 1.0) if known.peak_m != 0.0 else 1.0
+    spacing_m = adaptive.kinematics.speed_mps * adaptive.hold.interval_s
+    fading = min(spacing_m / drop_length_m, 1.0) if known.peak_m != 0.0 else 1.0
     known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)
     drop = known.peak_m - h_m
     if agrees and drop > MAX_UNCONFIRMED_DESCENT_M:
