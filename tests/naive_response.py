@@ -112,7 +112,7 @@ class NaiveResponse:
         self.band_m = m.BAND_SIGMAS * self.sigma_m / math.sqrt(self.number)
         one_m = m.BAND_SIGMAS * self.sigma_m
         tests = self.phase != RUN or self.lift_m > 0.0
-        most_m = self.number * self.band_m if tests else one_m
+        most_m = self.number * max(self.band_m, self.begun_band_m) if tests else one_m
         most_m = max(most_m, r.SWINGS[0] * self.swing_m)
         step_m = range_m - self.mean_m
         deviation_m = min(abs(step_m), most_m)
@@ -183,7 +183,10 @@ class NaiveResponse:
         wrong = unusual and error_m > self.band_m and no_lag and work > m.ERROR_MOTION
         enough = motion_m > c.MOTION_BANDS * self.band_m
         quiet = self.is_quiet
-        suspicious = enough and (wrong or repeats or quiet or self.rotation_failed)
+        distant = motion_m > c.SHIFT_DESCENT * self.standoff_m
+        faster_m = self.tau_s * (-self.climb_mps - c.SPEEDING * rate_mps)
+        runs_away = distant and faster_m > self.band_m
+        suspicious = enough and (wrong or repeats or quiet or self.rotation_failed or runs_away)
         if self.run_error_m() < max(self.band_m, m.LAG_TAUS * self.tau_s * rate_mps):
             self.proven_m = 0.0
         comes_back = self.proven_m > 0.0 and not rises and not repeats
@@ -207,7 +210,6 @@ class NaiveResponse:
         doubtful = enough and self.number >= m.MAX_READINGS and no_lag and work > c.SHIFT_ERROR_MOTION
         stops_m = rate_mps * (self.delay_s + self.tau_s)
         far = not self.slow and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
-        distant = motion_m > c.SHIFT_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * c.MIN_MEANS * self.number
         if t_ns < self.settled_ns and not repeats:
             suspicious = doubtful = distant = False

@@ -24,6 +24,7 @@ USUAL_ERRORS = 3.0  # errors up to so many usual ones, as over ground that accel
 MAX_USUAL_ERROR = 0.03  # of the stand-off: another controller may have led the tool far away from it
 MAX_UNSEEN = 0.35  # of the stand-off: clearance that may be lost unseen
 STEADY_M = 0.3  # over which ground with a mean slope has it: that of shorter waves is small
+SPEEDING = 1.5  # times its mean rate: a descent with a constant range that is now faster runs away
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 
@@ -145,7 +146,10 @@ def sign_of_fault(adaptive, motion_m, sunk_m):
     suspicious = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
     grave = (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == layout.ROTATION_FAILED
     hidden_m = MOTION_BANDS * band_m  # in the noise
-    if grave and motion_m > hidden_m:
+    # over ground that falls ever faster a good tool is late; an axis quicker than its model runs away
+    excess_mps = -adaptive.kinematics.climb_mps - SPEEDING * run.rate_mps
+    runs_away = excess_mps * adaptive.plant.tau_s > band_m and motion_m > SHIFT_DESCENT * run.standoff_m
+    if (grave or runs_away) and motion_m > hidden_m:
         return layout.SIGN_FOR_HOLD
     # ground that rose steadily before the run may rise on
     rise_m = max(run.steady_slope, 0.0) * min(run.travel_m, STEADY_M)

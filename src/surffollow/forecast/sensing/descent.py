@@ -137,7 +137,8 @@ def _is_testable(params, adaptive, t_ns, tool_z_m, spread_m):
     known = estimate.samples * adaptive.hold.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
     quick = mean_range.mean_samples(adaptive) >= mean_range.MAX_READINGS
     narrow = spread_m < 0.1 * params.offset_m  # so that an answer can exceed it
-    falls_m = abs(adaptive.kinematics.climb_mps) * answer_s(adaptive, MIN_MEANS)
+    lasts_s = 2.0 * answer_s(adaptive, MIN_MEANS) + adaptive.plant.tau_s  # a hold and a lift
+    falls_m = abs(adaptive.kinematics.climb_mps) * lasts_s
     has_room = descent.error_m + SWINGS[1] * spread_m + falls_m < params.range_max_m - params.offset_m
     # ground that was steep before may fall as steeply
     steeper = descent.top_z_m - tool_z_m > 2.0 * descent.slope * descent.travel_m

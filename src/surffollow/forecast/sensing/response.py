@@ -265,7 +265,8 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     count_repeats(adaptive, range_m, tool_z_m)
     in_run, most_m = response.phase == layout.RESPONSE_RUN, noise_m
     if constant_ranges.moves_tool(response):  # in a test two samples answer, one does not
-        most_m = mean_range.mean_samples(adaptive) * mean_range.range_band_m(adaptive)
+        band_m = max(adaptive.run.band_m, mean_range.range_band_m(adaptive))
+        most_m = mean_range.mean_samples(adaptive) * band_m
     constant_ranges.update_mean(adaptive, range_m, sigma_m, max(most_m, SWINGS[0] * response.swing_m))
     mean_m = adaptive.run.mean_m
     begins = begins or (response.swing_m > 0.0 and adaptive.run.standoff_m != params.offset_m)
