@@ -79,7 +79,7 @@ def states_seen(seed: int) -> set[tuple[str, bool]]:
         z += (asked - z) * min(1.0, interval_s / tau_s)
         z += 0.2 * interval_s * disobeys
         twin.setpoint_m = adaptive["setpoint"]["position_m"] = asked
-        twin.climb_mps = adaptive["kinematics"]["climb_mps"] = float(rng.choice([0.0, 0.1]))
+        twin.climb_mps = adaptive["kinematics"]["climb_mps"] = float(rng.choice([0.0, 0.1, -0.1]))
         seen.add((twin.phase, twin.phase in (HOLD, LIFT) and twin.rose))
     # a row for each sample
     np.testing.assert_allclose(in_kernel, in_twin, rtol=1e-9, err_msg=f"seed {seed}")

@@ -178,7 +178,8 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
     a["noise"]["range_sigma_m"], scatter = 2e-4, 0.0
     speed = float(rng.uniform(0.0, 0.1))
     a["kinematics"]["speed_mps"], a["kinematics"]["climb_mps"] = speed, -0.1
-    params["range_max_m"] = STANDOFF_M + 0.06
+    window_m = 0.06 if seed % 2 else 0.04  # above the stand-off; 40 mm are enough for a hold, not for a lift
+    params["range_max_m"] = STANDOFF_M + window_m
     band, z, kept, falls = 3.0 * 2e-4 / math.sqrt(8.0), 0.0, [], 0
     slope = float(rng.choice([0.0, 0.5]))
     a["estimate"]["slope_power"] = slope * slope
@@ -226,9 +227,8 @@ def test_a_descent_is_what_its_naive_twin_says(seed):
         )
         assert a["descent"]["unexplained"] == expected, k
         deep = z < floor - reach and fall > 2.0 * slope * speed * 4e-3 * len(kept)
-        room = (
-            0.06 - error - 4.5 * spread - 0.1 * (2.0 * 0.04 + 16.0 * 4e-3)
-        )  # window, climb rate, τ, samples
+        lasts_s = 2.0 * (2.0 * 0.04 + 16.0 * 4e-3) + 0.04  # τ and samples, of a hold and a lift
+        room = window_m - error - 4.5 * spread - 0.1 * lasts_s
         answers = spread < 0.1 * STANDOFF_M and room > 0.0 and k > 500
         to_test = expected and deep and answers and not comes_back
         assert tested_m == pytest.approx(spread if to_test else 0.0), k

@@ -130,7 +130,7 @@ def test_poses_with_old_timestamps_under_a_slow_controller_are_no_worse_than_a_p
         ours.append(follow(*drive, seed=seed, pose_older_s=TAU_S).rms_m(job))
         plain.append(follow(*drive, seed=seed, plain=True).rms_m(job))
     print(f"readings every {reading_s} s: {np.mean(ours) / np.mean(plain):.2f} of a P loop")
-    assert np.mean(ours) < np.mean(plain)
+    assert np.mean(ours) < 0.9 * np.mean(plain)
 
 
 def test_the_first_setpoint_of_a_service_is_in_force_before_the_second_report():
