@@ -47,7 +47,7 @@ Exit code 2 means that the command line is wrong: an option or argument is unkno
 wrong value, or does not fit the files beside it. Every other fault has exit code 1. That includes:
 
 - an input that is not there, may not be read, or is a folder or an endless device;
-- an input with wrong contents, whatever its format: TOML, CSV, JSON, map, recording, image, path;
+- an input with wrong contents, of any format: TOML, CSV, JSON, map, recording, image, path;
 - an output that exists already, is a folder or cannot be written.
 
 With `--json` an error is one JSON object on stdout: `error` (its text), `kind` (its class of

@@ -107,8 +107,7 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
         reference = cells[columns.reference.column] * unit_scale(columns.reference.unit, "m")
     since_s = _since(times, unit_scale(columns.time.unit, "s"))
     poses, at = _poses(columns, cells, t_s.size), np.array(lines, np.int64)
-    written = cells[columns.range.column]
-    return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, at, written)
+    return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, at, cells[columns.range.column])
 
 
 @contents_are_read()
