@@ -42,6 +42,7 @@ OWNERS = {
     "lead": "setpoint_lead",
     "estimate": "estimate",
     "controller": "controller_clock",
+    "own": "own_setpoints",
     "plant": "plant_identification",
     "blend": "setpoint_blend",
     "setpoint": "setpoint_limits",

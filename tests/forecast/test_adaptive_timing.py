@@ -24,7 +24,7 @@ def test_a_demand_waits_for_half_the_interval_of_reports_and_for_no_more_than_th
     controller = zeros(AdaptiveState)[0]["controller"]
     assert mean_wait_s(default_params(), controller) == default_params()["max_wait_s"]  # no report yet
     for k in range(1, 6):
-        observe_latch(controller, zeros(Inputs)[0], True, k * interval_ms * MS + 10**9)
+        observe_latch(controller, zeros(Inputs)[0], True, False, k * interval_ms * MS + 10**9)
     assert mean_wait_s(default_params(), controller) == pytest.approx(wait_s)
 
 

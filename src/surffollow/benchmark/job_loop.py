@@ -67,6 +67,7 @@ def follow(
     height_sign: float = 1.0,
     above_m: float = 0.0,
     push_mps: Callable[[float], float] | None = None,
+    takes_each: bool = False,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
@@ -79,12 +80,17 @@ def follow(
     `ahead_m`: distance of the sensor ahead of the tool [m].
     `height_sign`: −1: heights of poses are negated, and demands are applied to these. `above_m`: height above
     the stand-off at which the tool begins [m]. `push_mps`: velocity of wind, current or load at a time.
+    `takes_each`: the axis takes the answer to each reading, and there are no steps without
+    one; poses time out behind three intervals.
     """
     rng = np.random.default_rng(seed)
     plant = {"tau_s": job.tau_s, "v_max_mps": job.v_max_mps, "a_max_mps2": job.a_max_mps2}
     near_m, far_m = job.window_m
     sensors = [{"near_m": near_m, "far_m": far_m, "position_m": (ahead_m, 0.0, 0.0)}]
-    f = Follower({"plant": plant, "sensors": sensors}, offset_m=job.standoff_m)
+    config: dict[str, Any] = {"plant": plant, "sensors": sensors}
+    if takes_each:
+        config["pose_timeout_ns"] = round(3e9 * job.pose_s)
+    f = Follower(config, offset_m=job.standoff_m)
     z = z_plain = ground_m(0.0, 0.0) + job.standoff_m + above_m
     v, target, dt, clearance, states, coming = 0.0, z, 1e-3, [], [], []
     pose_ms, reading_ms = round(1e3 * job.pose_s), round(1e3 * job.reading_s)
@@ -109,13 +115,15 @@ def follow(
             coming.append((ms + round(1e3 * latest_s * float(rng.random())) if latest_s else ms, stamp_ns, r))
         for arrival in [a for a in coming if a[0] <= ms]:
             coming.remove(arrival)
-            f.step(arrival[1], [arrival[2]])
+            demand = float(f.step(arrival[1], [arrival[2]])[2])
+            if takes_each and not plain:
+                target = z_plain + height_sign * demand
             if plain and math.isfinite(arrival[2]):
                 target = z_plain - P_GAIN * (arrival[2] - job.standoff_m)
         if ms % pose_ms == 0:
-            demand = float(f.step(t_ns, [math.nan])[2])
-            if not plain:
-                target = z_plain + height_sign * demand
+            if not takes_each:
+                demand = float(f.step(t_ns, [math.nan])[2])
+                target = target if plain else z_plain + height_sign * demand
             if ms > 100 * seconds:
                 clearance.append(z - ground)
                 states.append(f.state())

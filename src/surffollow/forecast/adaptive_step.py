@@ -9,7 +9,13 @@ from surffollow.forecast import fold_back
 from surffollow.forecast.attitude import attitude
 from surffollow.forecast.estimation.noise import assumed_noise_m
 from surffollow.forecast.modes import orients
-from surffollow.forecast.plant import axis_model, controller_clock, plant_identification, shadow_axes
+from surffollow.forecast.plant import (
+    axis_model,
+    controller_clock,
+    own_setpoints,
+    plant_identification,
+    shadow_axes,
+)
 from surffollow.forecast.pose import newest_pose
 from surffollow.forecast.sensing import clock, health, kinematics, measurement, standoff
 from surffollow.forecast.setpoint import preview_control, setpoint_blend, setpoint_limits, tested_setpoint
@@ -53,7 +59,7 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     ahead_m += motion.speed_mps * ((latch_ns - adaptive.clock.now_ns) * 1e-9 - wait_s)
     known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
     if preview.update_share(adaptive, known):
-        z, v = plant_identification.predict_axis(params, adaptive.plant, latch_ns)
+        z, v = plant_identification.predict_axis(params, adaptive, latch_ns)
         preview.extrapolate_ground(adaptive, known, ahead_m)
         standoff_m += tested_setpoint.setpoint_shift_m(adaptive.response)
         preview_control.plan_setpoint(params, adaptive, known, z, v, standoff_m)
@@ -129,7 +135,8 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
         setpoint_limits.release_setpoint(setpoint)
         attitude.release_attitude(adaptive.attitude)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
-    answered = controller_clock.observe_latch(controller, inputs, reported, adaptive.clock.now_ns)
+    takes_each, now_ns = adaptive.own.takes_each != 0, adaptive.clock.now_ns
+    answered = controller_clock.observe_latch(controller, inputs, reported, takes_each, now_ns)
     age_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + controller_clock.mean_wait_s(params, controller)
     ahead = distance_ahead(adaptive, sense, age_s)
     due = controller_clock.period_is_due(adaptive, inputs, adaptive.clock.now_ns)
@@ -157,7 +164,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     elif orients(params) and adaptive.plane.count > 0:
         attitude.demand_rotation(params, adaptive, sense, output)
     applied_m = limited if applies and params.run == layout.RUN_NORMAL else 0.0
-    plant_identification.record_own_setpoint(adaptive, answered, tool_z + applied_m)
+    own_setpoints.record_own_setpoint(adaptive.own, answered, adaptive.clock.now_ns, tool_z + applied_m)
     if not applies:  # the next setpoints begin at the tool
         setpoint_limits.release_setpoint(setpoint)
         attitude.release_attitude(adaptive.attitude)

@@ -67,13 +67,28 @@ class Controller(Schema):
     latch_ns = I64(N_PERIODS, unit="ns", doc="ring of latch times")
 
 
+class Setpoints(Schema):
+    """Ring of setpoints."""
+
+    position_m = F64(N_LATCHES, unit="m", doc="the setpoints")
+    t_ns = I64(N_LATCHES, unit="ns", doc="time from which each is in force")
+    count = I64(doc="setpoints so far")
+
+
+class OwnSetpoints(Schema):
+    """The follower's own setpoints that the controller latched (`own_setpoints`)."""
+
+    latched = Nested(Setpoints, doc="by a controller that latches the demands at its reports")
+    given = Nested(Setpoints, doc="by one that latches each demand")
+    takes_each = I64(doc="1: it latches each demand; 0: those at its reports")
+    error_m = F64(unit="m", doc="usual error of the observed axis")
+    other_error_m = F64(unit="m", doc="what it would be, did the controller latch the others")
+    newest_m = F64(unit="m", doc="setpoint of the cycle before")
+
+
 class Plant(Schema):
     """Identified axis (`plant_identification`)."""
 
-    latched_m = F64(N_LATCHES, unit="m", doc="ring of the follower's own setpoints that were latched")
-    latch_ns = I64(N_LATCHES, unit="ns", doc="time from which each is in force")
-    latches = I64(doc="setpoints latched so far")
-    newest_m = F64(unit="m", doc="setpoint of the cycle before")
     position_m = F64(N_PLANTS, unit="m", doc="axis models of different τ that follow them")
     velocity_mps = F64(N_PLANTS, unit="m/s", doc="their velocity")
     error_m2 = F64(N_PLANTS, unit="m^2", doc="their squared errors against the pose reports")
@@ -191,6 +206,7 @@ class AdaptiveState(Schema):
     lead = Nested(Lead)
     estimate = Nested(Estimate)
     controller = Nested(Controller)
+    own = Nested(OwnSetpoints)
     plant = Nested(Plant)
     blend = Nested(Blend)
     setpoint = Nested(Setpoint)

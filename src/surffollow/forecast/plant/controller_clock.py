@@ -2,8 +2,8 @@
 
 A plan is made for the moment at which its demand is latched. A controller latches a demand and reports its
 pose in one cycle. In a service the demand published before the report is the one latched. A caller in process
-takes the answer to his steps without reading; one who has no such steps takes that to the step behind his
-report.
+takes the answer to his steps without reading. One who has no such steps takes that to the step behind his
+report, or each answer: which, his reports show (`own_setpoints`).
 """
 
 import math
@@ -74,14 +74,19 @@ def usual_interval(usual_ns, dt_ns):
 
 
 @jit
-def observe_latch(controller, inputs, reported, now_ns):
-    """Update the period with a latch, which ends a pending one; whether the answer of this cycle is latched.
+def observe_latch(controller, inputs, reported, takes_each, now_ns):
+    """Update the period with a latch, which ends a pending one.
 
     Parameters
     ----------
     controller, inputs : records of `Controller` (updated), `Inputs`
     reported : bool        there is a new pose report
+    takes_each : bool      a caller in process takes each demand (`own_setpoints`)
     now_ns : int64
+
+    Returns
+    -------
+    bool  a caller in process who does not take each demand takes that of this cycle
     """
     in_process, with_range = inputs.n_ranges > 0, False
     for k in range(inputs.n_ranges):
@@ -89,7 +94,7 @@ def observe_latch(controller, inputs, reported, now_ns):
     if in_process and not with_range:
         controller.asked_ns = now_ns
     asked = now_ns == controller.asked_ns or (reported and now_ns - controller.asked_ns >= MAX_GAP_NS)
-    if not (asked if in_process else reported):
+    if not (asked or takes_each if in_process else reported):
         return False
     t_ns = now_ns if in_process else now_ns - LATCH_DELAY_NS
     controller.interval_ns = usual_interval(controller.interval_ns, t_ns - controller.latched_ns)
@@ -97,7 +102,7 @@ def observe_latch(controller, inputs, reported, now_ns):
     if controller.latch_pending != 0:
         controller.latch_ns[(controller.periods - 1) & (N_PERIODS - 1)] = t_ns
         controller.latch_pending = 0
-    return in_process
+    return in_process and asked
 
 
 @jit

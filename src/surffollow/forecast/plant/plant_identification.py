@@ -14,14 +14,14 @@ import math
 from surffollow.forecast import elementary
 from surffollow.forecast.estimation.noise import MIN_NOISE_M, range_noise_m
 from surffollow.forecast.modes import learns
-from surffollow.forecast.plant import axis_model, controller_clock
-from surffollow.forecast.pose import newest_pose, newest_until, pose_at
-from surffollow.forecast.quantities import MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
+from surffollow.forecast.plant import axis_model, controller_clock, own_setpoints
+from surffollow.forecast.pose import newest_pose, pose_at
+from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, QUICK_RATE, SLOW_RATE, follow_usual
 from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.forecast.terrain.terrain_buffer import sensor_leads
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive import N_LATCHES, N_PLANTS
+from surffollow.shm.layout_adaptive import N_PLANTS
 from surffollow.shm.layout_follow import RUN_NORMAL
 
 TAU_RATIO = 1.5  # between neighbouring τ
@@ -56,24 +56,7 @@ def reset_axes(adaptive, t_ns, z_m):
 
 
 @jit
-def record_latch(plant, t_ns, setpoint_m):
-    """Record the setpoint that is in force from a time on; one per time step of the axis models."""
-    newest = plant.latches - 1
-    if newest < 0 or not 0 <= t_ns - plant.latch_ns[newest & (N_LATCHES - 1)] < axis_model.AXIS_STEP_NS:
-        newest += 1
-        plant.latches = newest + 1
-        plant.latch_ns[newest & (N_LATCHES - 1)] = t_ns
-    plant.latched_m[newest & (N_LATCHES - 1)] = setpoint_m
-
-
-@jit
-def setpoint_in_force(plant, t_ns):
-    """The follower's own setpoint that was in force at a time, at least the oldest one kept [m]."""
-    return plant.latched_m[newest_until(plant.latch_ns, plant.latches, t_ns) & (N_LATCHES - 1)]
-
-
-@jit
-def follow_setpoints(params, plant, tau_s, z_m, v_mps, to_ns):
+def follow_setpoints(params, plant, setpoints, tau_s, z_m, v_mps, to_ns):
     """Position and velocity of an axis that has followed the own setpoints until a later time [m, m/s].
 
     The velocity is that of the axis alone, without the disturbance.
@@ -81,14 +64,18 @@ def follow_setpoints(params, plant, tau_s, z_m, v_mps, to_ns):
     Parameters
     ----------
     params, plant : records of `Params`, `Plant`
+    setpoints : record of `Setpoints`  the setpoints latched
     tau_s : float64       time constant [s]
     z_m, v_mps : float64  position and velocity at `plant.t_ns`
     to_ns : int64         the later time
     """
     v_max, a_max = params.plant_v_max_mps, params.plant_a_max_mps2
     steps, span_ns = axis_model.time_steps(plant.t_ns, to_ns)
+    from_ns = to_ns - span_ns
+    if from_ns > plant.t_ns:  # a longer gap: the axis has settled since
+        z_m, v_mps = own_setpoints.setpoint_in_force(setpoints, from_ns), 0.0
     for n in range(steps):
-        target = setpoint_in_force(plant, plant.t_ns + (span_ns * n) // steps)
+        target = own_setpoints.setpoint_in_force(setpoints, from_ns + (span_ns * n) // steps)
         dt_s = span_ns * 1e-9 / steps
         z_m, v_mps = axis_model.step_axis(tau_s, v_max, a_max, z_m, v_mps, target, dt_s)
         z_m += plant.disturbance_mps * dt_s
@@ -96,19 +83,34 @@ def follow_setpoints(params, plant, tau_s, z_m, v_mps, to_ns):
 
 
 @jit
-def predict_axis(params, plant, to_ns):
+def predict_axis(params, adaptive, to_ns):
     """Position and velocity of the observed axis at a later time [m, m/s]."""
-    return follow_setpoints(params, plant, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
+    plant, setpoints = adaptive.plant, own_setpoints.latched_setpoints(adaptive.own)
+    return follow_setpoints(params, plant, setpoints, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
 
 
 @jit
-def propagate_axes(params, plant, to_ns):
-    """Propagate all axis models with the follower's own setpoints."""
-    z, v = plant.position_m, plant.velocity_mps
+def propagate_axes(params, adaptive, to_ns):
+    """Propagate all axis models with the setpoints that the controller latched.
+
+    Parameters
+    ----------
+    params, adaptive : records of `Params`, `AdaptiveState` (`plant` updated)
+    to_ns : int64  the later time
+
+    Returns
+    -------
+    float64  where the observed axis would be, did the controller latch the other setpoints [m]
+    """
+    plant, z, v = adaptive.plant, adaptive.plant.position_m, adaptive.plant.velocity_mps
+    others = own_setpoints.other_setpoints(adaptive.own)
+    other_m, _ = follow_setpoints(params, plant, others, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
+    setpoints = own_setpoints.latched_setpoints(adaptive.own)
     for k in range(N_PLANTS):
-        z[k], v[k] = follow_setpoints(params, plant, time_constant_s(plant, k), z[k], v[k], to_ns)
-    plant.axis_m, plant.axis_mps = predict_axis(params, plant, to_ns)
+        z[k], v[k] = follow_setpoints(params, plant, setpoints, time_constant_s(plant, k), z[k], v[k], to_ns)
+    plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
+    return other_m
 
 
 @jit
@@ -152,7 +154,7 @@ def update_plant(params, adaptive, sense, inputs):
         for k in range(N_PLANTS):  # what all have in common: another controller has moved the robot since
             plant.error_m2[k] -= least
     applied = adaptive.controller.periods > 0 and setpoint.t_ns != 0 and setpoint.in_dryrun == 0
-    continues = plant.t_ns < t <= plant.t_ns + axis_model.MAX_AXIS_GAP_NS
+    continues = plant.t_ns < t <= plant.t_ns + LONG_GAP_NS
     begins = plant.tau_configured_s == 0.0 or plant.begins != 0
     other_tau = begins and plant.tau_configured_s != params.plant_tau_s
     plant.begins = 0
@@ -164,9 +166,16 @@ def update_plant(params, adaptive, sense, inputs):
         reset_axes(adaptive, t, z)
         return
     if inputs.n_ranges <= 0:  # otherwise the caller latches each answer himself
-        record_latch(plant, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS, plant.newest_m)
+        own_setpoints.record_report(adaptive.own, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS)
     slow = axis_model.is_long((t - plant.t_ns) * 1e-9, plant.tau_configured_s)
-    propagate_axes(params, plant, t)
+    other_m, axis_z_m = propagate_axes(params, adaptive, t), z - plant.offset_m
+    # steps without a reading say which answers are latched
+    if inputs.n_ranges <= 0 or adaptive.clock.now_ns - adaptive.controller.asked_ns >= LONG_GAP_NS:
+        error_m, other_error_m = abs(axis_z_m - plant.axis_m), abs(axis_z_m - other_m)
+        if own_setpoints.compare_series(adaptive.own, error_m, other_error_m):
+            plant.tau_s, plant.error_m2[:], plant.disturbance_mps = plant.tau_configured_s, 0.0, 0.0
+            reset_axes(adaptive, t, z)
+            return
     least = math.inf
     for k in range(N_PLANTS):
         least = min(least, abs(plant.position_m[k] - z))
@@ -187,7 +196,8 @@ def update_plant(params, adaptive, sense, inputs):
     plant.axis_m += AXIS_GAINS[0] * e
     plant.axis_mps = min(max(plant.axis_mps + AXIS_GAINS[1] * e, -limit), limit)
     # a tool that stays where its axis would move at full speed does not obey: no wind explains that
-    wish = axis_model.axis_velocity(setpoint_in_force(plant, t) - z, plant.tau_s, params.plant_a_max_mps2)
+    target_m = own_setpoints.setpoint_in_force(own_setpoints.latched_setpoints(adaptive.own), t)
+    wish = axis_model.axis_velocity(target_m - z, plant.tau_s, params.plant_a_max_mps2)
     if abs(wish) < limit:
         plant.disturbance_mps = min(max(plant.disturbance_mps + AXIS_GAINS[2] * e, -limit), limit)
     plant.offset_m = z - plant.axis_m
@@ -244,16 +254,4 @@ def predict_pose(params, adaptive, sense, t_ns, pose):
     pose[1] += motion.velocity_y_mps * dt
     pose[2] = kinematics.coast_height(motion, sense, sense.pose_count - 1, t_ns)
     if 0.0 < plant.scatter_m < motion.climb_scatter_m:
-        pose[2] = predict_axis(params, plant, t_ns)[0] + plant.offset_m
-
-
-@jit
-def record_own_setpoint(adaptive, answered, setpoint_m):
-    """Record the follower's own setpoint; `answered`: a caller in process latches it (`observe_latch`).
-
-    In a service the controller latched the setpoint of the cycle before its report (`update_plant`). The
-    first one counts from the beginning.
-    """
-    adaptive.plant.newest_m = setpoint_m
-    if answered or adaptive.plant.latches == 0:
-        record_latch(adaptive.plant, adaptive.clock.now_ns, setpoint_m)
+        pose[2] = predict_axis(params, adaptive, t_ns)[0] + plant.offset_m
