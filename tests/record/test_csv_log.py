@@ -155,6 +155,7 @@ def test_the_examples_are_column_files(path: Path) -> None:
         ({"up": "u", "unit": "m"}, [0.0, 0.0, 3.0]),
         ({"east": "e", "unit": "m"}, [2.0, 0.0, 0.0]),
         ({"north": "n", "up": "u", "unit": "m"}, [0.0, 1.0, 3.0]),
+        ({"north": "n", "east": "e", "down": "u", "unit": "m"}, [2.0, 1.0, -3.0]),
     ],
 )
 def test_an_axis_without_a_column_is_zero_and_its_column_need_not_be_there(
@@ -179,6 +180,7 @@ def test_a_depth_is_straight_down_however_the_vehicle_is_tilted(tmp_path: Path) 
     ("change", "message"),
     [
         ({"position": {"unit": "m"}}, "names no column"),
+        ({"position": {"up": "u", "down": "d", "unit": "m"}}, "both up and down"),
         (
             {"range": DEPTH, "mount": {"position": ["1 m", "0 m", "0 m"]}},
             "straight down",

@@ -180,8 +180,7 @@ def _names(c: Columns) -> dict[str, bool]:
     """The columns that are needed → whether a cell may be empty."""
     names = {c.time.column: False, c.range.column: True}
     if c.position is not None:
-        axes = (c.position.north, c.position.east, c.position.up)
-        names |= dict.fromkeys([name for name in axes if name is not None], False)
+        names |= dict.fromkeys([name for name, _ in c.position.axes if name is not None], False)
     if c.attitude is not None:
         names |= dict.fromkeys((c.attitude.roll, c.attitude.pitch, c.attitude.yaw), False)
     if c.reference is not None:
@@ -285,9 +284,9 @@ def _poses(c: Columns, cells: dict[str, NDArray[np.float64]], n: int) -> NDArray
     pose[:, 6] = 1.0
     if c.position is not None:
         scale = unit_scale(c.position.unit, "m")
-        for k, name in enumerate((c.position.east, c.position.north, c.position.up)):
+        for k, (name, sign) in enumerate(c.position.axes):
             if name is not None:
-                pose[:, k] = cells[name] * scale
+                pose[:, k] = sign * scale * cells[name]
     # a depth is straight down, however the vehicle is tilted
     if c.attitude is not None and n > 0 and c.range.kind == "range":
         scale = unit_scale(c.attitude.unit, "rad")
