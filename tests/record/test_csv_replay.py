@@ -25,6 +25,7 @@ from surffollow.record.csv_replay import (
     ROWS_PER_REPORT,
     CsvReplay,
     follow_notes,
+    horizon_notes,
     make_follower,
     run_csv,
     write_rows,
@@ -85,6 +86,22 @@ def test_the_summary_says_why_no_forecast_could_be_compared(tmp_path: Path) -> N
         assert (summary["forecast"][0]["n"] == 0) == noted
         assert any("no forecast over 1 s" in note for note in summary["notes"]) == noted
         assert any("20 s apart" in note and "[time] unit" in note for note in summary["notes"]) == noted
+
+
+@pytest.mark.parametrize("follow", [{"plant_tau": "0.5 s"}, {"plant_tau_s": 0.5}, {"plant": {"tau_s": 0.5}}])
+def test_horizons_that_are_too_short_for_the_axis_are_noted(follow: dict[str, object]) -> None:
+    """The forecast smooths over 3 time constants: below, a slow axis makes it worse than no change."""
+    forecast = {"horizons": ["0.5 s", "1.5 s", "2 s"], "match": "0.3 s"}
+    (note,) = horizon_notes(plain(follow=follow, forecast=forecast), "adaptive")
+    assert "horizons of 0.5 s are below 3 plant_tau (1.5 s)" in note
+    assert horizon_notes(plain(follow=follow, forecast=forecast), "paper") == []
+    assert horizon_notes(plain(follow={}, forecast=forecast), "adaptive") == []
+
+
+def test_the_summary_has_the_note_of_short_horizons(tmp_path: Path) -> None:
+    columns = plain(follow={"plant_tau": "1 s"})
+    notes = summarise("log.csv", run_csv(slope_log(tmp_path), columns), columns)["notes"]
+    assert any("below 3 plant_tau (3 s)" in note for note in notes)
 
 
 def make_replay(t_s: list[float], range_m: list[float], forecast_m: list[float]) -> CsvReplay:
