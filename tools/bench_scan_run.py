@@ -10,7 +10,7 @@ points from the true ground.
     python tools/bench_scan_run.py [--speed 0.25] [--first 100] [--seeds 8] [--json]
 
 Constants of the arm and of the follower were chosen on seed 0. Printed: median and worst of the seeds.
-There are no criteria. A run takes its path's time, so that all seeds take hours; Ctrl-C prints the rows so far.
+There are no criteria. A run takes the time of its path, all of them hours; Ctrl-C prints the rows so far.
 """
 
 from __future__ import annotations
