@@ -254,6 +254,29 @@ def test_the_command_prints_json_and_says_when_columns_are_missing(tmp_path: Pat
         CliRunner().invoke(replay_command, ["absent.csv", *options], catch_exceptions=False)
 
 
+@pytest.mark.parametrize(
+    ("rows", "follow", "says"),
+    [
+        (
+            "0,200,0,0,0,0,0,0\n",
+            'plant_tau = "0.5"',
+            "c.toml: [follow] parameter plant_tau: '0.5' has no unit",
+        ),
+        ("0,9e9,0,0,0,0,0,0\n", "", "log.csv: none of the 1 rows has a reading"),
+    ],
+)
+def test_the_command_names_the_file_that_is_wrong(tmp_path: Path, rows: str, follow: str, says: str) -> None:
+    log, columns = tmp_path / "log.csv", tmp_path / "c.toml"
+    log.write_text(HEADER + rows)
+    columns.write_text(
+        '[time]\ncolumn = "t"\nunit = "ms"\n[range]\ncolumn = "d"\nunit = "cm"\n[follow]\n' + follow
+    )
+    with pytest.raises(UsageError) as error:
+        CliRunner().invoke(replay_command, [str(log), "--columns", str(columns)], catch_exceptions=False)
+    assert str(error.value).startswith(f"{tmp_path}/{says}")
+    assert error.value.exit_code == 1
+
+
 def measured(name: str, start_s: float | None = None, end_s: float | None = None) -> tuple[CsvLog, Columns]:
     file = {"quad_flight": "flight_first_half.csv", "hydroball": "18_37_04-2017_12_11.csv"}[name]
     path = DATA / name / file
