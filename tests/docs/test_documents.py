@@ -13,6 +13,7 @@ import pytest
 from surffollow.benchmark.conditions import load_conditions
 from surffollow.benchmark.followers import outside_follower
 from surffollow.config.service import follow_params, parse_config
+from surffollow.follower import Follower
 from surffollow.map.files import EXPORTS
 
 if sys.version_info >= (3, 11):
@@ -137,8 +138,9 @@ def test_settings_are_compared_over_the_ground_of_a_log(tmp_path, monkeypatch):
     (tmp_path / "settings_of_a_page.py").write_text(settings)
     monkeypatch.syspath_prepend(tmp_path)
     for name in ("quick", "calm"):
-        made = outside_follower(f"settings_of_a_page:{name}")(conditions)
-        assert made.state()["offset_m"] == 5.0
+        follower = outside_follower(f"settings_of_a_page:{name}")(conditions)
+        assert isinstance(follower, Follower)
+        assert follower.state()["offset_m"] == 5.0
 
 
 # stored words, and the table behind sf_get_param and sf_set_param
