@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from forked_start import note_environment
+from older_click import capture_as_later_versions
 from running_service import Service, config_text, over_ground
 from surffollow.shm.jit import YOUNG_OBJECTS
 from two_workers import make_scheduler
@@ -21,6 +22,7 @@ def pytest_configure() -> None:
     Tests send signals; under nohup or in the background children would inherit that they are ignored.
     """
     gc.set_threshold(YOUNG_OBJECTS)
+    capture_as_later_versions()
     for number, handler in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
         if signal.getsignal(number) == signal.SIG_IGN:
             signal.signal(number, handler)

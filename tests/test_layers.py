@@ -19,7 +19,7 @@ LAYERS = (
     ("hw", "sim"),
     ("forecast", "map"),
     ("shm",),
-    ("config", "units", "errors", "extras"),
+    ("config", "units", "errors", "extras", "release"),
 )
 LAYER = {package: n for n, packages in enumerate(LAYERS) for package in packages}
 # entry points are above every layer

@@ -47,6 +47,7 @@ def test_a_quantity_is_converted_into_the_asked_unit(text, unit, value):
         ("3 parsec", "1", "unknown unit 'parsec'"),
         ("7 ms", "m", "'ms' is a time, but a length in 'm'"),
         ("7 m", "ns", "'m' is a length, but a time in 'ns'"),
+        ("7 deg", "m", "'deg' is an angle, but a length in 'm'"),
         ("ten m", "m", "'ten m' is no quantity; write a number and a unit, like '5 m'"),
         ("", "m", "no quantity"),
         ("1 2 m", "m", "1 2 m"),

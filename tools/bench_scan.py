@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import naive_scan as naive  # noqa: E402
-from report import criterion, finish, result  # noqa: E402
+from report import criterion, finish, result, show_step  # noqa: E402
 from scan_measured import data_folder, lidar, plans_on_measured_ground, stereo  # noqa: E402
 from surffollow.scan.attitude_angles import wrist_angles  # noqa: E402
 from surffollow.scan.body import disc  # noqa: E402
@@ -61,6 +61,7 @@ def best_ms(work: Callable[[], object], runs: int = 7) -> tuple[float, float]:
 
 def took(name: str, work: Callable[[], object], limit_ms: float, runs: int = 7) -> dict[str, Any]:
     """A criterion of wall time, with the processor time as its note."""
+    show_step(f"speed: {name}")
     wall, processor = best_ms(work, runs)
     return criterion(name, wall, limit_ms, "ms", f"processor {processor:.1f} ms")
 
@@ -108,6 +109,8 @@ def terrains(count: int, rng: Any) -> Criteria:
     missed_lp = missed_search = gentle_lp = gentle = compared = 0
     lifts: list[tuple[float, float]] = []
     for k in range(count):
+        if k % max(1, count // 20) == 0:
+            show_step(f"accuracy: terrain {k} of {count}")
         n, grid = int(rng.integers(70, 100)), 0.01
         steepest = 1.0 if k % 2 else None
         z = naive.rough_ground(rng, n, grid, steepest=steepest)
@@ -187,6 +190,7 @@ def terrains(count: int, rng: Any) -> Criteria:
 def coverage(count: int, rng: Any) -> Criteria:
     """Distance of points of random regions from the nearest pass, less half a swath."""
     worst = -math.inf
+    show_step(f"accuracy: coverage of {count} regions")
     for k in range(count):
         region = (0.0, 0.0, *rng.uniform(0.3, 2.0, 2))
         swath = float(rng.uniform(0.02, 0.3))
@@ -252,6 +256,7 @@ def speed() -> Criteria:
         )
     z = naive.rough_ground(rng, 1000, 0.005, steepest=1.5)
     for radius, limit in ((10, 300), (20, 600), (40, 1300)):
+        show_step(f"speed: envelope of 1M cells, radius {radius}, beside scipy")
         wall, processor = best_ms(lambda radius=radius: ball_envelope(z, 0.005, radius * 0.005), 3)
         note = f"processor {processor:.1f} ms"
         criteria.append(criterion(f"envelope of 1M cells, radius {radius}", wall, limit, "ms", note))
@@ -304,6 +309,7 @@ def main() -> int:
     criteria: Criteria = []
     notes = []
     if options.only in (None, "accuracy"):
+        show_step("accuracy: images")
         criteria += twins_of_images(rng) + filters_on_a_hump(rng)
         criteria += terrains(options.terrains, rng) + coverage(options.terrains, rng)
     if options.only in (None, "speed"):
@@ -311,6 +317,7 @@ def main() -> int:
     if options.only in (None, "data"):
         folder = data_folder()
         if (folder / "surfaces").is_dir():
+            show_step("measured data")
             criteria += stereo(folder) + lidar(folder) + plans_on_measured_ground(folder)
         else:
             notes.append(f"real data left out: {folder} is not there (SURFFOLLOW_DATA)")

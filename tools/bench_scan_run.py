@@ -10,6 +10,7 @@ points from the true ground.
     python tools/bench_scan_run.py [--speed 0.25] [--first 100] [--seeds 8] [--json]
 
 Constants of the arm and of the follower were chosen on seed 0. Printed: median and worst of the seeds.
+There are no criteria. A run takes the time of its path, all of them hours; Ctrl-C prints the rows so far.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ import json
 import os
 import sys
 import tempfile
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from report import machine
+from report import machine, show_step
 from surffollow.apps.child_processes import no_leftovers, running
 from surffollow.apps.demo import _await_ready
 from surffollow.apps.scan_figures import sensed_figures, true_figures
@@ -115,10 +118,21 @@ def main() -> None:
     words.add_argument("--json", action="store_true")
     args = words.parse_args()
     rows: list[dict[str, Any]] = []
+    kinds = args.kinds.split(",")
+    total, start = args.seeds * len(kinds) * len(args.ways.split(",")), time.monotonic()
+
+    def show_row(row: dict[str, Any]) -> None:
+        done, spent_s = row["number"], time.monotonic() - start
+        left_min = spent_s / done * (total - done) / 60.0
+        show_step(
+            f"run {done} of {total}: {row['map']}, {row['way']}: RMS {1e3 * row['rms_m']:.2f} mm; "
+            f"about {left_min:.0f} min left"
+        )
+
     try:
         for seed in range(args.first, args.first + args.seeds):
-            for kind in args.kinds.split(","):
-                rows += run_kind(kind, seed, args)
+            for kind in kinds:
+                rows += run_kind(kind, seed, args, len(rows), show_row)
     except KeyboardInterrupt:
         print("interrupted; of the runs so far:", file=sys.stderr)
     if args.json:
@@ -156,8 +170,10 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
         print(text)
 
 
-def run_kind(kind: str, seed: int, args: argparse.Namespace) -> list[dict[str, Any]]:
-    """All ways over one wrong map, with one service."""
+def run_kind(
+    kind: str, seed: int, args: argparse.Namespace, before: int, show_row: Callable[[dict[str, Any]], None]
+) -> list[dict[str, Any]]:
+    """All ways over one wrong map, with one service; `before`: number of runs before these."""
     speed_mps, ways, mode_hz, limit = (
         args.speed,
         args.ways.split(","),
@@ -201,8 +217,9 @@ def run_kind(kind: str, seed: int, args: argparse.Namespace) -> list[dict[str, A
                     plan, name, lambda: attach(name, label="scan"), config, ground=grid, prepare=prepare
                 )
                 row = {"map": kind, "way": way, "seed": seed, "speed_mps": speed_mps, "mode_hz": mode_hz}
+                row["number"] = before + len(rows) + 1
                 rows.append(done.summary | row | true_figures(done, field) | sensed_figures(done))
-                print(f"{kind}, {way}: RMS {1e3 * rows[-1]['rms_m']:.2f} mm", file=sys.stderr)
+                show_row(rows[-1])
     return rows
 
 

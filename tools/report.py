@@ -30,6 +30,11 @@ def criterion_line(b: dict[str, Any]) -> str:
     return f"{b['criterion']:<44} {got:>12}  {limit:<18} {verdict:<6} {b.get('note', '')}".rstrip()
 
 
+def show_step(text: str) -> None:
+    """Say on stderr what a long bench does now."""
+    print(text, file=sys.stderr, flush=True)
+
+
 def machine(*more: str) -> str:
     """The machine that figures are of, and how busy it is, in a line; `more`: what else they hang on."""
     facts = (

@@ -86,6 +86,7 @@ int main(int argc, char **argv) {
   if (trace != NULL) fprintf(trace, "t_s,x_m,y_m,z_m,range_m,demand_m\n");
 
   int64_t valid = 0, silent = 0, stopped = 0, refused = 0, worst_age_ns = 0, readings = 0;
+  int64_t status = 0; /* of the newest demand */
   int settled = 0, following = 0;
   double set_point_m = STANDOFF_M, path_m = 0.0, speed_mps = 0.0, sum_sq_m2 = 0.0, range_m = -1.0;
   /* where the tool was at the last ticks, for a demand adds to the pose that it names, not to a newer one */
@@ -107,6 +108,7 @@ int main(int argc, char **argv) {
     following = 0;
     sf_demand d;
     const int heard = sf_dev_vector(&robot, &d);
+    status = d.status;
     if (result == SF_OK && heard == SF_OK) {
       for (int i = 0; i < HISTORY; i++)
         if (sent_ns[i] == d.pose_t_ns) set_point_m = sent_z_m[i] + d.demand[2], following = 1;
@@ -143,5 +145,10 @@ int main(int argc, char **argv) {
          path_m, speed_mps, stopped, valid, silent, refused, worst_age_ns / 1000, result == SF_OK ? range_m : -1.0, arm_z_m, robot.epoch, s.poses,
          readings, readings > 0 ? 1e3 * sqrt(sum_sq_m2 / (double)readings) : -1.0);
   sf_detach(&robot);
-  return 0;
+  if (valid > 0) return 0;
+  fprintf(stderr, "controller: no demand was valid:");
+  for (int64_t bit = 1; bit <= SF_STALE; bit *= 2)
+    if (status & bit) fprintf(stderr, " %s", sf_status_name(bit));
+  fprintf(stderr, "; surffollow status --name %s says more\n", name);
+  return 1;
 }

@@ -56,8 +56,16 @@ class Robot {
   }
   std::optional<sf_demand> demand() noexcept {
     sf_demand d;
-    if (sf_dev_vector(&client_, &d) != SF_OK) return std::nullopt;
-    return d;
+    const bool valid = sf_dev_vector(&client_, &d) == SF_OK;
+    status_ = d.status;
+    return valid ? std::optional<sf_demand>(d) : std::nullopt;
+  }
+  // the names of the status bits that the newest demand had
+  std::string status() const {
+    std::string names;
+    for (std::int64_t bit = 1; bit <= SF_STALE; bit *= 2)
+      if (status_ & bit) names += std::string(names.empty() ? "" : " ") + sf_status_name(bit);
+    return names;
   }
   std::optional<double> distance(int channel = 0) noexcept {
     double range_m = 0.0;
@@ -75,6 +83,7 @@ class Robot {
     if (result != SF_OK) throw Error(result);
   }
   sf_client client_;
+  std::int64_t status_ = 0;
 };
 
 constexpr std::int64_t tick_ns = 10'000'000;
@@ -159,7 +168,10 @@ int run(const std::string &name, double seconds, const std::string &map_path, co
             << robot.map_height(centre_x_m + radius_m, centre_y_m).value_or(-1e9) << " readings " << readings
             << " standoff_rms_mm "
             << (readings > 0 ? 1e3 * std::sqrt(sum_sq_m2 / static_cast<double>(readings)) : -1.0) << std::endl;
-  return 0;
+  if (valid > 0) return 0;
+  std::cerr << "controller: no demand was valid: " << robot.status() << "; surffollow status --name " << name
+            << " says more\n";
+  return 1;
 }
 
 // A positive time, or nothing.

@@ -18,7 +18,7 @@ import signal
 import sys
 import time
 
-from surffollow.client import attach
+from surffollow.client import Demand, attach
 from surffollow.errors import SurffollowError
 
 TICK_NS = 10_000_000
@@ -46,8 +46,11 @@ class Arm:
         self.y_m = CENTRE_M[1] + RADIUS_M * math.sin(path_m / RADIUS_M)
 
 
-def run(name: str, seconds: float) -> list[tuple[float, ...]]:
-    """Drive the arm; rows of time [s], x, y, z [m], stand-off by the sensor [m] and demand [m]."""
+def run(name: str, seconds: float) -> tuple[list[tuple[float, ...]], Demand]:
+    """Drive the arm.
+
+    Returns rows of time [s], x, y, z [m], stand-off by the sensor [m] and demand [m], and the last demand.
+    """
     arm, rows = Arm(), []
     robot = attach(name)
     robot.claim_pose()  # who sends the pose may set parameters
@@ -55,7 +58,7 @@ def run(name: str, seconds: float) -> list[tuple[float, ...]]:
     sent: dict[int, float] = {}  # height of the tool by the time that it was reported for
     setpoint_m, path_m, speed_mps, settled, following = arm.z_m, 0.0, 0.0, 0, False
     next_ns = start_ns = time.monotonic_ns()
-    end_ns = start_ns + round(seconds * 1e9)
+    end_ns, demand = start_ns + round(seconds * 1e9), robot.dev_vector()
     while next_ns < end_ns:
         t_ns, pose = time.monotonic_ns(), arm.read_pose()
         sent[t_ns] = pose[2]
@@ -82,7 +85,7 @@ def run(name: str, seconds: float) -> list[tuple[float, ...]]:
         next_ns += TICK_NS
         time.sleep(max(0.0, (next_ns - time.monotonic_ns()) * 1e-9))
     robot.close()
-    return rows
+    return rows, demand
 
 
 def plot(rows: list[tuple[float, ...]], path: str) -> None:
@@ -114,12 +117,19 @@ def main() -> int:
         words.error("seconds: more than 0, at most 1e6")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        rows = run(options.service, options.seconds)
+        rows, demand = run(options.service, options.seconds)
     except SurffollowError as error:
         print(f"controller: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
+    if not rows:
+        print(
+            f"controller: the tool did not begin its path; the last demand was {' '.join(demand.names)}; "
+            f"surffollow status --name {options.service} says more",
+            file=sys.stderr,
+        )
+        return 1
     if options.trace:
         with open(options.trace, "w") as file:
             file.write("t_s,x_m,y_m,z_m,range_m,demand_m\n")

@@ -47,9 +47,9 @@ def __getattr__(name: str) -> Any:
     if name in _LIGHT or name in _HEAVY:
         return importlib.import_module(f"{__name__}.{name}")
     if name == "__version__":
-        from importlib.metadata import version
+        from surffollow.release import program_version
 
-        return version("surffollow")
+        return program_version()
     if name == "Follower":
         from surffollow.extras import attribute_of
 

@@ -87,6 +87,11 @@ def unit_scale(unit: str, si_unit: str) -> float:
     return float(_exact_scale(unit, si_unit))
 
 
+def _one(quantity: str) -> str:
+    """A quantity with its article."""
+    return f"{'an' if quantity[0] in 'aeiou' else 'a'} {quantity}"
+
+
 def _exact_scale(unit: str, si_unit: str) -> Fraction:
     """`unit_scale` without rounding: "20 us" is the number 20e-6, which 20 · 1e-6 in floats is not."""
     for u in (unit, si_unit):
@@ -96,7 +101,8 @@ def _exact_scale(unit: str, si_unit: str) -> Fraction:
     (given, factor), (expected, si) = _UNITS[unit], _UNITS[si_unit]
     if given != expected:
         raise UsageError(
-            f"unit {unit!r} is a {given}, but a {expected} in {si_unit!r} (or its multiples) is needed"
+            f"unit {unit!r} is {_one(given)}, but {_one(expected)} in {si_unit!r} (or its multiples) is "
+            "needed"
         )
     return Fraction(str(factor)) / Fraction(str(si))
 

@@ -298,6 +298,23 @@ def test_moves_up_and_down_are_counted() -> None:
     assert count_legs(np.array([]), 0.005) == 0
 
 
+@pytest.mark.parametrize(
+    ("gain", "gain_sigma", "is_enough"), [(1.0, 0.005, True), (1.0, 0.02, False), (100.0, 0.2, True)]
+)
+def test_a_watch_ends_when_the_gain_is_precise_whatever_its_unit(
+    monkeypatch: pytest.MonkeyPatch, gain: float, gain_sigma: float, is_enough: bool
+) -> None:
+    t_s = np.arange(0.0, 12.0, 0.01)
+    poses = np.zeros((t_s.size, 7))
+    poses[:, 2] = up_and_down(t_s)
+    channel = {"gain": gain, "gain_sigma": gain_sigma, "verdict": "OK"}
+    watched = RobotCheck.__new__(RobotCheck)
+    monkeypatch.setattr(watched, "seconds", lambda: 12.0)
+    monkeypatch.setattr(watched, "_motion", lambda: (t_s, poses, 0.01, count_legs(poses[:, 2], 0.005)))
+    monkeypatch.setattr(watched, "report", lambda: {"channels": [channel]})
+    assert watched.is_enough() is is_enough
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_noise_of_heights_is_found_beside_the_move(seed: int) -> None:
     t_s = np.arange(0.0, 5.0, 0.01)

@@ -138,7 +138,7 @@ def test_nothing_moves_before_somebody_confirms(service, folder):
     os.close(theirs)
     assert child.returncode == 1
     assert "nothing moved" in error
-    assert out == ""
+    assert out.strip() == ""  # click 8.1 asks with a space there
 
 
 def test_an_interrupt_before_the_start_is_one(folder):

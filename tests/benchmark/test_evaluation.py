@@ -191,6 +191,7 @@ def test_follower_of_anybody_may_enter() -> None:
         (("--surface", "nowhere"), "nowhere"),
         (("--methods", "magic"), "magic"),
         (("--methods", "mine=no.such:thing"), "no.such"),
+        (("--methods", "mine=no_such:thing"), "PYTHONPATH=."),
         (("--methods", "mine=os:getcwd"), "TypeError"),
         (("--methods", "mine=builtins:str"), "no method pose"),
         (("--methods", ""), "no method"),

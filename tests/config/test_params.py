@@ -44,6 +44,9 @@ def test_a_parameter_is_taken_with_or_without_its_unit_ending(name, value, numbe
     ("name", "value", "says"),
     [
         ("ofset", 0.1, ["unknown parameter 'ofset'", "did you mean offset_m"]),
+        ("standoff", 0.1, ["unknown parameter 'standoff'; did you mean offset_m?"]),
+        ("stand_off_m", 0.1, ["did you mean offset_m?"]),
+        ("tau_s", 0.1, ["did you mean plant_tau_s?"]),
         ("Range_Size", 5, ["unknown parameter 'Range_Size'", "range_size"]),
         ("offset", "3 s", ["offset", "'s' is a time", "length"]),
         ("offset", "3 furlongs", ["offset", "unknown unit 'furlongs'", "use one of"]),

@@ -7,9 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from surffollow.config.service import parse_config
+from surffollow.benchmark.conditions import load_conditions
+from surffollow.benchmark.followers import outside_follower
+from surffollow.config.service import follow_params, parse_config
+from surffollow.follower import Follower
 from surffollow.map.files import EXPORTS
 
 if sys.version_info >= (3, 11):
@@ -102,6 +106,41 @@ def test_the_example_of_a_page_runs(page, said, tmp_path):
     done = subprocess.run([sys.executable, "-c", points + code], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert said in done.stdout
+
+
+def blocks_of(page: str, kind: str) -> list[str]:
+    """Blocks of code of a page."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    return re.findall(rf"^```{kind}\n(.*?)^```", text, re.S | re.M)
+
+
+def test_the_examples_of_machines_are_configurations():
+    configs = [parse_config(tomllib.loads(text)) for text in blocks_of("how-to/tune-the-follower.md", "toml")]
+    assert [follow_params(c)["offset_m"] for c in configs] == [5.0, 0.004]
+
+
+def test_settings_are_compared_over_the_ground_of_a_log(tmp_path, monkeypatch):
+    page = "how-to/benchmark.md"
+    # WHEN the profile is made of rows of a replay, one without a reading and one at the place before
+    profile, settings = blocks_of(page, "python")
+    (tmp_path / "make_ground.py").write_text(profile)
+    rows = "".join(f"{x},{y},{z}\n" for x, y, z in ((0, 0, 1), ("", "", ""), (3, 4, 2), (3, 4, 5), (3, 5, 3)))
+    (tmp_path / "rows.csv").write_text("target_x_m,target_y_m,target_z_m\n" + rows)
+    words = [sys.executable, "make_ground.py", "rows.csv", "ground.csv"]
+    subprocess.run(words, cwd=tmp_path, check=True, timeout=60)
+    # THEN it is a surface, and plant and settings are those of a benchmark
+    made = np.genfromtxt(tmp_path / "ground.csv", delimiter=",", names=True)
+    assert list(zip(made["x_m"], made["height_m"])) == [(0.0, 1.0), (5.0, 2.0), (6.0, 3.0)]
+    (plant,) = blocks_of(page, "toml")
+    (tmp_path / "plant.toml").write_text(plant)
+    conditions = load_conditions(tmp_path / "plant.toml")
+    assert (conditions.standoff_m, conditions.plant.tau_s) == (5.0, 0.5)
+    (tmp_path / "settings_of_a_page.py").write_text(settings)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("quick", "calm"):
+        follower = outside_follower(f"settings_of_a_page:{name}")(conditions)
+        assert isinstance(follower, Follower)
+        assert follower.state()["offset_m"] == 5.0
 
 
 # stored words, and the table behind sf_get_param and sf_set_param

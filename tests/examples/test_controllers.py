@@ -81,6 +81,20 @@ def test_an_example_controller_keeps_its_distance_from_rolling_ground(
     assert abs(printed_m - rms_m) < 0.3e-3
 
 
+@pytest.mark.parametrize("language", CONTROLLERS)
+def test_a_controller_without_a_valid_demand_says_why(language: str, bare: Service, tmp_path: Path) -> None:
+    program = CONTROLLERS[language][0](tmp_path)
+    with bare.attach() as robot:
+        robot.stop("a person came near")
+    done = subprocess.run([*program, bare.name, "0.5"], capture_output=True, text=True, timeout=120.0)
+    status = bare.run("status").stdout
+    with bare.attach() as robot:
+        robot.claim_pose()
+        robot.reset_stop()
+    assert (done.returncode, "STOPPED" in done.stderr) == (1, True), done.stderr
+    assert "resets it (reset_stop(), in C sf_stop_reset)" in status
+
+
 def test_the_example_draws_its_run(bare: Service, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     words = [*python(tmp_path), bare.name, "1", "--plot", str(tmp_path / "run.png")]

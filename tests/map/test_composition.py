@@ -32,6 +32,20 @@ def test_halves_of_a_map_compose_to_the_whole_without_any_loss():
     np.testing.assert_allclose(joined.extent_m, whole.extent_m, atol=1e-12)
 
 
+def test_a_composed_map_has_the_samples_of_all_maps(tmp_path):
+    maps = [sampled(share=1.0), sampled(share=0.5)]
+    of_counts = HeightMap.from_heights([[0.1, 0.2]], origin_m=(0, 0), grid_m=0.1, counts=[[255, 3]])
+    prior = HeightMap.from_heights([[0.1, 0.2]], origin_m=(0, 0), grid_m=0.1)
+    assert (of_counts.samples, prior.samples) == (258, 0)
+    files = []
+    for k, m in enumerate((*maps, of_counts, prior)):
+        files.append(str(tmp_path / f"{k}.npz"))
+        m.save(files[-1])
+    words = ["compose", *files, "-o", str(tmp_path / "whole.npz"), "--json"]
+    facts = json.loads(CliRunner().invoke(map_group, words, catch_exceptions=False).stdout)
+    assert facts["samples"] == sum(m.samples for m in maps) + 258
+
+
 def test_a_fine_map_and_one_with_more_relief_compose_to_heights_that_hold_both():
     fine = HeightMap.from_heights(np.full((2, 2), 0.1), origin_m=(0, 0), grid_m=1.0, quantum_m=25.4e-6)
     hilly = HeightMap.from_heights([[-20.0, 20.0]], origin_m=(2, 0), grid_m=1.0, quantum_m=2.54e-3)

@@ -92,6 +92,15 @@ def test_semicolons_and_tabs_are_read_with_either_decimal_sign(
         ("d," + HEADER, r"log\.csv: column 'd' occurs more than once; rename the others"),
         (HEADER + "1,2,inf,0,0,0,0,0\n", r"line 2, column 'n': 'inf' is not"),
         (HEADER + "nan,2,0,0,0,0,0,0\n", r"line 2, column 't': 'nan' is not"),
+        (
+            HEADER + "2026-11-30T20:00:00Z,2,0,0,0,0,0,0\n",
+            r"column 't': '2026-.*; write dates and times of day as",
+        ),
+        (
+            HEADER + "20:00:00.5,2,0,0,0,0,0,0\n",
+            r"column 't': '20:00:00.5' .*; write dates and times of day as",
+        ),
+        ("t d n\n1 2 3\n", r"it has t d n; separate columns by commas, semicolons or tabs"),
         (HEADER + "2,2,0,0,0,0,0,0\n1,2,0,0,0,0,0,0\n", r"log\.csv, line 3, column 't': time goes back"),
         (HEADER + "\n2,2,0,0,0,0,0,0\n\n1,2,0,0,0,0,0,0\n", r"line 5, column 't': time goes back"),
         (HEADER + "0,2,0,0,0,0,0,0\n1e15,2,0,0,0,0,0,0\n", r"line 3, column 't': more than 1e\+09 s"),
@@ -155,6 +164,7 @@ def test_the_examples_are_column_files(path: Path) -> None:
         ({"up": "u", "unit": "m"}, [0.0, 0.0, 3.0]),
         ({"east": "e", "unit": "m"}, [2.0, 0.0, 0.0]),
         ({"north": "n", "up": "u", "unit": "m"}, [0.0, 1.0, 3.0]),
+        ({"north": "n", "east": "e", "down": "u", "unit": "m"}, [2.0, 1.0, -3.0]),
     ],
 )
 def test_an_axis_without_a_column_is_zero_and_its_column_need_not_be_there(
@@ -179,6 +189,7 @@ def test_a_depth_is_straight_down_however_the_vehicle_is_tilted(tmp_path: Path) 
     ("change", "message"),
     [
         ({"position": {"unit": "m"}}, "names no column"),
+        ({"position": {"up": "u", "down": "d", "unit": "m"}}, "both up and down"),
         (
             {"range": DEPTH, "mount": {"position": ["1 m", "0 m", "0 m"]}},
             "straight down",

@@ -25,6 +25,7 @@ from surffollow.record.csv_replay import (
     ROWS_PER_REPORT,
     CsvReplay,
     follow_notes,
+    horizon_notes,
     make_follower,
     run_csv,
     write_rows,
@@ -85,6 +86,22 @@ def test_the_summary_says_why_no_forecast_could_be_compared(tmp_path: Path) -> N
         assert (summary["forecast"][0]["n"] == 0) == noted
         assert any("no forecast over 1 s" in note for note in summary["notes"]) == noted
         assert any("20 s apart" in note and "[time] unit" in note for note in summary["notes"]) == noted
+
+
+@pytest.mark.parametrize("follow", [{"plant_tau": "0.5 s"}, {"plant_tau_s": 0.5}, {"plant": {"tau_s": 0.5}}])
+def test_horizons_that_are_too_short_for_the_axis_are_noted(follow: dict[str, object]) -> None:
+    """The forecast smooths over 3 time constants: below, a slow axis makes it worse than no change."""
+    forecast = {"horizons": ["0.5 s", "1.5 s", "2 s"], "match": "0.3 s"}
+    (note,) = horizon_notes(plain(follow=follow, forecast=forecast), "adaptive")
+    assert "horizons of 0.5 s are below 3 plant_tau (1.5 s)" in note
+    assert horizon_notes(plain(follow=follow, forecast=forecast), "paper") == []
+    assert horizon_notes(plain(follow={}, forecast=forecast), "adaptive") == []
+
+
+def test_the_summary_has_the_note_of_short_horizons(tmp_path: Path) -> None:
+    columns = plain(follow={"plant_tau": "1 s"})
+    notes = summarise("log.csv", run_csv(slope_log(tmp_path), columns), columns)["notes"]
+    assert any("below 3 plant_tau (3 s)" in note for note in notes)
 
 
 def make_replay(t_s: list[float], range_m: list[float], forecast_m: list[float]) -> CsvReplay:
@@ -235,6 +252,29 @@ def test_the_command_prints_json_and_says_when_columns_are_missing(tmp_path: Pat
         CliRunner().invoke(replay_command, [file], catch_exceptions=False)
     with pytest.raises(InputFileError, match=r"cannot read 'absent\.csv'"):
         CliRunner().invoke(replay_command, ["absent.csv", *options], catch_exceptions=False)
+
+
+@pytest.mark.parametrize(
+    ("rows", "follow", "says"),
+    [
+        (
+            "0,200,0,0,0,0,0,0\n",
+            'plant_tau = "0.5"',
+            "c.toml: [follow] parameter plant_tau: '0.5' has no unit",
+        ),
+        ("0,9e9,0,0,0,0,0,0\n", "", "log.csv: none of the 1 rows has a reading"),
+    ],
+)
+def test_the_command_names_the_file_that_is_wrong(tmp_path: Path, rows: str, follow: str, says: str) -> None:
+    log, columns = tmp_path / "log.csv", tmp_path / "c.toml"
+    log.write_text(HEADER + rows)
+    columns.write_text(
+        '[time]\ncolumn = "t"\nunit = "ms"\n[range]\ncolumn = "d"\nunit = "cm"\n[follow]\n' + follow
+    )
+    with pytest.raises(UsageError) as error:
+        CliRunner().invoke(replay_command, [str(log), "--columns", str(columns)], catch_exceptions=False)
+    assert str(error.value).startswith(f"{tmp_path}/{says}")
+    assert error.value.exit_code == 1
 
 
 def measured(name: str, start_s: float | None = None, end_s: float | None = None) -> tuple[CsvLog, Columns]:

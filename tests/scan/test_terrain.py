@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
+from scipy.ndimage import minimum_filter
 
 import naive_scan as naive
 from surffollow.errors import ScanInputError
@@ -13,7 +16,7 @@ from surffollow.scan.envelope import ball_envelope, envelope_of
 from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.holes import fill_holes
 from surffollow.scan.offset_surface import disagreement, normal_offset
-from surffollow.scan.terrain import terrain_map
+from surffollow.scan.terrain import _edges, terrain_map
 
 
 def test_envelope_is_brute_force_to_the_last_bit():
@@ -181,3 +184,30 @@ def test_stations_compose_into_one_map():
     x, y = whole.centres_m()
     assert whole.shape == (100, 180)
     assert np.nanmax(np.abs(whole.heights_m - height(x[None], y[:, None]))) < 1e-4
+
+
+def test_a_map_takes_at_most_20_bytes_per_cell_beside_the_result() -> None:
+    points = np.random.default_rng(5).random((30_000, 3)) * (1.0, 0.3, 0.3)
+    region = (0.0, 0.0, 1.0, 0.3)
+    terrain_map(points[:100], 0.05, region=region)  # what is loaded once does not count
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        ground = terrain_map(points, 0.001, region=region)
+        peak = tracemalloc.get_traced_memory()[1] - before - ground.heights_m.nbytes - ground.cells.nbytes
+    finally:
+        tracemalloc.stop()
+    assert peak / ground.cells.size < 20.0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_edges_are_those_of_a_filter_over_the_grid(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    shape = tuple(random.integers(1, 12, 2))
+    places = random.choice(shape[0] * shape[1], random.integers(1, shape[0] * shape[1] + 1), replace=False)
+    row, col = np.divmod(places, shape[1])
+    height = random.normal(size=places.size)
+    own = np.full(shape, np.inf)
+    own[row, col] = height
+    expected = height > minimum_filter(own, size=3)[row, col] + 0.3
+    np.testing.assert_array_equal(_edges(row, col, height, shape[1], 0.3), expected, f"seed {seed}")

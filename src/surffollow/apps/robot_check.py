@@ -22,6 +22,7 @@ from surffollow.apps.robot_verdict import (
     ChannelFacts,
     channel_finding,
     finding_dict,
+    is_precise,
     motion_finding,
 )
 from surffollow.client.board import Board
@@ -134,7 +135,9 @@ class RobotCheck:
         if legs >= MOST_LEGS:
             return True
         return all(
-            c["gain_sigma"] is not None and c["gain_sigma"] < 0.5 * PRECISE and c["verdict"] != "ambiguous"
+            c["gain_sigma"] is not None
+            and is_precise(c["gain"], c["gain_sigma"], 0.5 * PRECISE)
+            and c["verdict"] != "ambiguous"
             for c in self.report()["channels"]
         )
 

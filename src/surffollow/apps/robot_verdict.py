@@ -109,6 +109,11 @@ def _readings_finding(facts: ChannelFacts) -> Finding | None:
     return None
 
 
+def is_precise(gain: float, gain_sigma: float, part: float = PRECISE) -> bool:
+    """Whether the standard error of a gain is at most a part of it, or of 1."""
+    return gain_sigma <= part * max(1.0, abs(gain))
+
+
 def channel_finding(fit: GainFit | None, facts: ChannelFacts) -> Finding:
     """The verdict of a channel; its kind is "OK" where all is right."""
     found = _readings_finding(facts)
@@ -124,7 +129,7 @@ def channel_finding(fit: GainFit | None, facts: ChannelFacts) -> Finding:
         return found or Finding("not enough motion", "the height moved too little to find a gain", "")
     # a sign that is sure is reported, however uncertain the gain
     is_reversed = fit.gain < -max(SURE * fit.gain_sigma, 0.5) and not fit.is_ambiguous
-    if fit.gain_sigma > PRECISE * max(1.0, abs(fit.gain)) and not is_reversed:
+    if not is_precise(fit.gain, fit.gain_sigma) and not is_reversed:
         return Finding(
             "not enough motion",
             f"the gain is uncertain, {fit.gain:.3g} ± {fit.gain_sigma:.2g}: ranges scatter by "

@@ -80,7 +80,10 @@ def outside_follower(spec: str) -> Factory:
     try:
         factory: Factory = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise UsageError(f"no follower at '{spec}' ({error}); expected module:factory") from error
+        remedy = "expected module:factory"
+        if isinstance(error, ModuleNotFoundError):
+            remedy += "; add the folder of the module to PYTHONPATH (PYTHONPATH=. for this one)"
+        raise UsageError(f"no follower at '{spec}' ({error}); {remedy}") from error
     return factory
 
 

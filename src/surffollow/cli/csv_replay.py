@@ -29,7 +29,7 @@ def replay_csv_log(
     """
     from surffollow.cli.progress import progress_bar
     from surffollow.config.input_file import contents_are_read
-    from surffollow.errors import UsageError
+    from surffollow.errors import ConfigError, UsageError
     from surffollow.record.columns import load_columns
     from surffollow.record.csv_log import read_csv
     from surffollow.record.csv_replay import run_csv
@@ -42,7 +42,12 @@ def replay_csv_log(
     meaning = load_columns(columns)
     log = read_csv(file, meaning).between(start, end)
     with progress_bar("following") as progress, contents_are_read():
-        return run_csv(log, meaning, mode, progress), meaning
+        try:
+            return run_csv(log, meaning, mode, progress), meaning
+        except ConfigError as error:
+            raise ConfigError(f"{columns}: [follow] {error}") from None
+        except UsageError as error:
+            raise UsageError(f"{file}: {error}") from None
 
 
 def output_suffix(out: str) -> str:

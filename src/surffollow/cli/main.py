@@ -183,8 +183,24 @@ def print_includedir(ctx: click.Context, param: click.Parameter, expected: bool)
         ctx.exit()
 
 
+def print_version(ctx: click.Context, param: click.Parameter, expected: bool) -> None:
+    """As click's own option does, but also in a source tree that is not installed."""
+    if expected:
+        from surffollow.release import program_version
+
+        click.echo(f"surffollow, version {program_version()}")
+        ctx.exit()
+
+
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="surffollow")
+@click.option(
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=print_version,
+    help="Show the version and exit.",
+)
 @click.option(
     "--includedir",
     is_flag=True,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from importlib.metadata import version
 from pathlib import Path
 
 import click
 
 from surffollow.cli.option_types import OutputFolder
+from surffollow.release import program_version
 
 HEADER = Path(__file__).parents[1] / "include" / "surffollow.h"
 HEADERS = (HEADER, HEADER.with_name("surffollow_arbiter.h"))
@@ -28,7 +28,7 @@ def pkg_config_text(includedir: str) -> str:
     """The text of `surffollow.pc` for a header in that directory."""
     # pkg-config takes words apart as a shell does; a dollar without a brace is one
     escaped = re.sub(r"([^\w/.,:+@%=~$-])", r"\\\1", includedir)
-    return PKG_CONFIG.format(includedir=escaped, version=version("surffollow"))
+    return PKG_CONFIG.format(includedir=escaped, version=program_version())
 
 
 @click.command("print-header")

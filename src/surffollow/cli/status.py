@@ -206,7 +206,8 @@ def render(s: dict[str, Any]) -> str:
         lines.insert(5, f"standoff {1e3 * s['params']['offset_m']:.6g} mm")
     lines[5:5] = follower_lines(s["follower"])
     if s["stopped"]:
-        lines.append(f"STOPPED  {', '.join(s['stopped'])}; the pose's holder resets it (reset_stop)")
+        causes = ", ".join(s["stopped"])
+        lines.append(f"STOPPED  {causes}; the pose's holder resets it (reset_stop(), in C sf_stop_reset)")
     if s["faults"]:
         lines.append("faults   " + ", ".join(f"{f['number']} {f['name']}" for f in s["faults"]))
     if main.get("text"):

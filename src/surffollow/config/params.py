@@ -148,6 +148,19 @@ OLD_NAMES = {
 }
 
 
+# words of the documents, of plant files and of `Follower` that are no parameters, for the text of an error
+MEANT = {
+    "standoff": "offset_m",
+    "stand_off": "offset_m",
+    "tau": "plant_tau_s",
+    "v_max": "plant_v_max_mps",
+    "a_max": "plant_a_max_mps2",
+    "latency": "sensor_latency_ns",
+    "near": "range_min_m",
+    "far": "range_max_m",
+}
+
+
 def param_name(name: str, others: Iterable[str] = ()) -> str:
     """The full name of a parameter.
 
@@ -167,7 +180,8 @@ def param_name(name: str, others: Iterable[str] = ()) -> str:
     import difflib
 
     known = (*others, *PARAMS)
-    near = difflib.get_close_matches(name, known, n=3)
+    meant = [full for word, full in MEANT.items() if name in (word + ending for ending in UNIT_ENDINGS)]
+    near = meant or difflib.get_close_matches(name, known, n=3)
     hint = f"; did you mean {' or '.join(near)}?" if near else f"; known: {', '.join(known)}"
     raise ConfigError(f"unknown parameter {name!r}{hint}")
 

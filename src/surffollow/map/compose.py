@@ -143,6 +143,7 @@ def composition(
     count; its count the samples expected in its area (at most 255). Priors fill grids that no map
     sampled. Maps on one lattice compose without any resampling. Where maps differ by more than their noise
     explains (`disputed.noise_limit`), the height is that of the highest one: it may be an obstacle.
+    `samples` is the sum of the maps' samples.
 
     Raises
     ------
@@ -190,6 +191,8 @@ def composition(
     whole = HeightMap.from_heights(
         heights, origin_m=(x0, y0), grid_m=grid, counts=counts, quantum_m=quantum, datum_m=datum
     )
+    # counts end at 255, the maps' own counters do not
+    whole.header["samples"] = sum(max(m.samples, int(m.counts.sum(dtype=np.int64))) for m in maps)
     return Composition(whole, disputed)
 
 

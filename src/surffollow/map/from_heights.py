@@ -92,5 +92,6 @@ def map_of_heights(
     flat = None if samples is None else np.clip(samples, 0, ml.FULL_COUNT).astype(np.uint8).reshape(-1)
     access.store(pairs, 0, heights, flat)
     header["journal_progress"] = z.size
+    header["samples"] = 0 if flat is None else int(flat.sum(dtype=np.int64))
     check_answer(install_end(header))
     return header, pairs

@@ -41,12 +41,19 @@ class RangeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PositionColumns(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Position of the vehicle; an axis without a column is 0."""
+    """Position of the vehicle; an axis without a column is 0. The height is `up`, or `down` as in NED."""
 
     unit: str
     north: str | None = None
     east: str | None = None
     up: str | None = None
+    down: str | None = None
+
+    @property
+    def axes(self) -> tuple[tuple[str | None, float], ...]:
+        """Columns of x, y and z of the world, and their signs."""
+        height = (self.up, 1.0) if self.down is None else (self.down, -1.0)
+        return (self.east, 1.0), (self.north, 1.0), height
 
 
 class AttitudeColumns(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -144,8 +151,13 @@ def parse_columns(data: dict[str, Any], source: str = "column file") -> Columns:
 
 
 def _check(c: Columns) -> None:
-    if c.position is not None and not (c.position.north or c.position.east or c.position.up):
-        raise UsageError("[position] names no column; give north, east or up, or leave the table out")
+    if c.position is not None:
+        if c.position.up is not None and c.position.down is not None:
+            raise UsageError("[position] has both up and down; keep the one that the log's height is")
+        if not any(name for name, _ in c.position.axes):
+            raise UsageError(
+                "[position] names no column; give north, east, up or down, or leave the table out"
+            )
     if c.range.kind == "depth" and c.mount != Mount():
         raise UsageError(
             '[mount] tilts and moves a beam; a depth (kind = "depth") is straight down: leave it out'

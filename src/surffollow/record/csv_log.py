@@ -6,6 +6,7 @@ import contextlib
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
@@ -20,6 +21,7 @@ from surffollow.record.columns import Columns
 from surffollow.record.mcap_reader import MAGIC
 from surffollow.units import decimal_number, numbers_text, unit_scale
 
+_DATE_OR_TIME = re.compile(r"\d{1,4}([-:/])\d{1,2}\1\d")
 SHOWN = 200  # characters of a file in a message
 LAST_HEADER_LINE = 100  # so far the line of column names is looked for, for a message
 MAX_SPAN_S = 1e9  # 31 years, well inside int64 nanoseconds
@@ -162,6 +164,8 @@ def _missing(
     for number, row in zip(range(2, LAST_HEADER_LINE + 1), rows):
         if set(names) <= {cell.strip() for cell in row}:
             return UsageError(f"{path}: the column names are in line {number}; remove the lines above it")
+    if len(header) == 1 and len(header[0].split()) > 1:
+        remedy = f"separate columns by commas, semicolons or tabs, not by spaces, or {remedy}"
     return UsageError(f"{path} has no column {missing!r}; it has {_shown(', '.join(header))}; {remedy}")
 
 
@@ -180,8 +184,7 @@ def _names(c: Columns) -> dict[str, bool]:
     """The columns that are needed → whether a cell may be empty."""
     names = {c.time.column: False, c.range.column: True}
     if c.position is not None:
-        axes = (c.position.north, c.position.east, c.position.up)
-        names |= dict.fromkeys([name for name in axes if name is not None], False)
+        names |= dict.fromkeys([name for name, _ in c.position.axes if name is not None], False)
     if c.attitude is not None:
         names |= dict.fromkeys((c.attitude.roll, c.attitude.pitch, c.attitude.yaw), False)
     if c.reference is not None:
@@ -266,7 +269,10 @@ def _number(cell: str, optional: bool, where: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) and not (optional and value == math.inf):
-        raise UsageError(f"{where}: {_shown(cell)!r} is not a finite number; correct or remove the row")
+        remedy = "correct or remove the row"
+        if _DATE_OR_TIME.match(cell):
+            remedy = "write dates and times of day as numbers, such as seconds since the first row"
+        raise UsageError(f"{where}: {_shown(cell)!r} is not a finite number; {remedy}")
     return value
 
 
@@ -285,9 +291,9 @@ def _poses(c: Columns, cells: dict[str, NDArray[np.float64]], n: int) -> NDArray
     pose[:, 6] = 1.0
     if c.position is not None:
         scale = unit_scale(c.position.unit, "m")
-        for k, name in enumerate((c.position.east, c.position.north, c.position.up)):
+        for k, (name, sign) in enumerate(c.position.axes):
             if name is not None:
-                pose[:, k] = cells[name] * scale
+                pose[:, k] = sign * scale * cells[name]
     # a depth is straight down, however the vehicle is tilted
     if c.attitude is not None and n > 0 and c.range.kind == "range":
         scale = unit_scale(c.attitude.unit, "rad")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.config.params import names_given, param_name
+from surffollow.config.params import PARAMS, names_given, param_name
 from surffollow.errors import UsageError
 from surffollow.follower import Follower
 from surffollow.follower.setup import TABLES
@@ -22,6 +22,9 @@ from surffollow.record.table import write_csv
 from surffollow.units import parse_quantity, unit_scale
 
 ROWS_PER_REPORT = 4096  # of the progress
+LEAST_HORIZON_TAUS = (
+    3.0  # the forecast smooths over at least so many time constants (follower/range_forecast.py)
+)
 ROW_HEADER = ("t_s", "range_m", "target_x_m", "target_y_m", "target_z_m", "height_m", "slope", "reference_m")
 
 
@@ -187,6 +190,21 @@ def follow_notes(columns: Columns, mode: str) -> list[str]:
         return []
     other = "; --mode paper uses some" if not paper else ""
     return [f"[follow] {', '.join(idle)}: without effect on height, slope and forecast in {mode} mode{other}"]
+
+
+def horizon_notes(columns: Columns, mode: str) -> list[str]:
+    """Horizons of an adaptive replay that are shorter than its forecast is made for, as text."""
+    given = {param_name(key): value for key, value in columns.follow.items() if key not in TABLES}
+    plant = columns.follow.get("plant", {})
+    tau_s = parse_quantity(given.get("plant_tau_s", plant.get("tau_s", PARAMS["plant_tau_s"].default)), "s")
+    least_s = LEAST_HORIZON_TAUS * tau_s
+    short = ", ".join(f"{h:g}" for h in columns.horizons_s if h < least_s * (1.0 - 1e-9))
+    if not short or mode == "paper":
+        return []
+    return [
+        f"[forecast] horizons of {short} s are below {LEAST_HORIZON_TAUS:g} plant_tau ({least_s:g} s): the "
+        "forecast is made for longer ones, and the newest range may be nearer"
+    ]
 
 
 def write_rows(path: str | Path, replay: CsvReplay) -> None:

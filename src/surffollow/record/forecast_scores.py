@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.record.columns import Columns
-from surffollow.record.csv_replay import CsvReplay, follow_notes
+from surffollow.record.csv_replay import CsvReplay, follow_notes, horizon_notes
 
 
 def score_forecast(replay: CsvReplay, columns: Columns) -> list[dict[str, float]]:
@@ -97,7 +97,9 @@ def summarise(path: str | Path, replay: CsvReplay, columns: Columns) -> dict[str
         "end_s": float(log.t_s[-1]),
         "height_m": {"min": float(heights.min()), "mean": float(heights.mean()), "max": float(heights.max())},
         "slope": {"min": float(slopes.min()), "mean": float(slopes.mean()), "max": float(slopes.max())},
-        "notes": follow_notes(columns, replay.mode) + unscored_notes(replay, columns, scores),
+        "notes": follow_notes(columns, replay.mode)
+        + horizon_notes(columns, replay.mode)
+        + unscored_notes(replay, columns, scores),
         "forecast": [{k: None if v != v else v for k, v in row.items()} for row in scores],
     }
     if log.reference_m is not None and columns.reference is not None:

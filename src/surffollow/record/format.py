@@ -12,9 +12,9 @@ import json
 import os
 import platform
 import sys
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from surffollow.release import program_version
 from surffollow.shm import journal
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 from surffollow.shm.schema import I64, Schema
@@ -53,14 +53,6 @@ class BatchHead(Schema):
 
 
 HEAD_WORDS = BatchHead.SIZE // 8
-
-
-def program_version() -> str:
-    """The installed version of surffollow."""
-    try:
-        return version("surffollow")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _fields(schema: type[Schema]) -> list[list[Any]]:

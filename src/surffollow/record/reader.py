@@ -20,10 +20,10 @@ from surffollow.record.format import (
     SUMMARY_NAME,
     TOPIC,
     layout_hashes,
-    program_version,
 )
 from surffollow.record.mcap_reader import CHANNEL, MESSAGE, MESSAGE_HEAD, METADATA, SCHEMA, Damage, McapReader
 from surffollow.record.mcap_records import read_channel, read_metadata, read_schema
+from surffollow.release import program_version
 
 DEFAULT_PERIOD_NS = 1_000_000
 _NUMBER = re.compile("-?[0-9]{1,19}")

@@ -20,10 +20,10 @@ from surffollow.record.format import (
     CLOCK_NAME,
     PROFILE,
     SUMMARY_NAME,
-    program_version,
 )
 from surffollow.record.protobuf import Message
 from surffollow.record.protobuf_types import descriptor_set
+from surffollow.release import program_version
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -6,16 +6,18 @@ import os
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surffollow.errors import ScanFileError
 from surffollow.extras import install_command
 from surffollow.map.formats.atomic_file import replacing
 from surffollow.map.formats.axis_labels import label_axis, label_plan
 from surffollow.map.formats.picture import shaded_relief
-from surffollow.scan.grid import FILLED, TerrainGrid
+from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.path import UNKNOWN_BENEATH, WRIST_LIMIT, ScanPath
 
 _MAX_CELLS = 1200  # cells a side that are drawn
+_KINDS = {UNKNOWN: ("unknown", "0.5"), MEASURED: ("measured", "#1f968b"), FILLED: ("filled", "#fde725")}
 
 
 def new_figure(columns: int, width: float, height: float) -> tuple[Any, Any]:
@@ -60,14 +62,33 @@ def draw_map(path: str | os.PathLike[str], ground: TerrainGrid) -> None:
     x0, y0, x1, y1 = ground.extent_m
     step = max(1, -(-max(ground.shape) // _MAX_CELLS))
     kinds = ground.cells[::step, ::step]
-    shown = right.imshow(
-        kinds, origin="lower", extent=(x0, x1, y0, y1), interpolation="nearest", vmin=0, vmax=FILLED
-    )
-    bar = figure.colorbar(shown, ax=right, ticks=[0, 1, 2], shrink=0.8)
-    bar.ax.set_yticklabels(["unknown", "measured", "filled"])
+    right.imshow(kinds_in_colour(kinds), origin="lower", extent=(x0, x1, y0, y1), interpolation="nearest")
     right.set_title("cells")
     label_plan(right, (x0, x1, y0, y1))
+    right.legend(handles=kind_handles(ground.cells), loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save_figure(figure, path)
+
+
+def kinds_in_colour(kinds: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """(rows, cols, 3) colours, 0 … 1, of kinds of cells."""
+    from matplotlib.colors import to_rgb
+
+    colours = np.zeros((*kinds.shape, 3))
+    for kind, (_, colour) in _KINDS.items():
+        colours[kinds == kind] = to_rgb(colour)
+    return colours
+
+
+def kind_handles(kinds: NDArray[np.uint8]) -> list[Any]:
+    """An entry of a legend for each kind that there is, with its share of the cells."""
+    from matplotlib.patches import Patch
+
+    shares = {kind: float(np.mean(kinds == kind)) for kind in _KINDS}
+    return [
+        Patch(facecolor=colour, edgecolor="0.3", label=f"{name} ({100.0 * shares[kind]:.3g} %)")
+        for kind, (name, colour) in _KINDS.items()
+        if shares[kind]
+    ]
 
 
 def draw_plan(path: str | os.PathLike[str], ground: TerrainGrid, plan: ScanPath) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import maximum_filter
 from scipy.spatial import Delaunay, QhullError
 
 from surffollow.config.pose_limits import MAX_POSITION_M
@@ -113,7 +113,7 @@ def terrain_map(
     row, col = cell_of(own, (x0, y0), g)
     inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
     row, col, height = row[inside], col[inside], own[inside, 2]
-    alone = np.isnan(z[row, col]) | ((height > z[row, col]) & _edges(row, col, height, z.shape, g))
+    alone = np.isnan(z[row, col]) | ((height > z[row, col]) & _edges(row, col, height, cols, g))
     z[row[alone], col[alone]] = height[alone]
     flags[row, col] = MEASURED
     if raised_m is not None:
@@ -129,12 +129,24 @@ def terrain_map(
 
 
 def _edges(
-    row: NDArray[np.int64], col: NDArray[np.int64], height: Floats, shape: tuple[int, int], g: float
+    row: NDArray[np.int64], col: NDArray[np.int64], height: Floats, cols: int, g: float
 ) -> NDArray[np.bool_]:
-    """(m,) bool: cells more than their side above one of the eight around."""
-    own = np.full(shape, np.inf)
-    own[row, col] = height
-    return np.asarray(height > minimum_filter(own, size=3, mode="nearest")[row, col] + g)
+    """(m,) bool: cells more than their side above one of the eight around.
+
+    The neighbours are looked up by number: a grid of them would be half of the memory of a map.
+    """
+    width = cols + 2  # the place beyond the end of a row is a cell of no other row
+    number = row * width + col
+    order = np.argsort(number, kind="stable")
+    number, high = number[order], height[order]
+    lowest = high.copy()
+    for shift in (k * width + j for k in (-1, 0, 1) for j in (-1, 0, 1)):
+        at = np.minimum(np.searchsorted(number, number + shift), len(number) - 1)
+        there = number[at] == number + shift
+        lowest[there] = np.minimum(lowest[there], high[at[there]])
+    out = np.empty(len(height), np.bool_)
+    out[order] = high > lowest + g
+    return out
 
 
 def _raise(

@@ -6,10 +6,10 @@ of 64 bits (magics, hashes) are text, "0x" and 16 digits, for many JSON readers 
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from typing import Any
 
 from surffollow.config.pose_limits import MAX_POSITION_M, NORM_TOLERANCE
+from surffollow.release import program_version
 from surffollow.shm import board_regions, cheader, latch_shape, sealed
 from surffollow.shm import layout_board as lb
 from surffollow.shm import layout_follow as lf
@@ -40,7 +40,7 @@ def hex64(number: int) -> str:
 def identity() -> dict[str, Any]:
     """Release, versions and hashes that say whether two programs fit each other."""
     return {
-        "release": version("surffollow"),
+        "release": program_version(),
         "version": lb.LAYOUT_VERSION,
         "hash": hex64(board_regions.layout_hash()),
         "map_version": ml.VERSION,
