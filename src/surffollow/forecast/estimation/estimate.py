@@ -3,7 +3,14 @@
 import math
 
 from surffollow.forecast import elementary
-from surffollow.forecast.estimation import earlier_bank, innovation_gate, model_bank, model_weights, noise
+from surffollow.forecast.estimation import (
+    earlier_bank,
+    innovation_gate,
+    model_bank,
+    model_weights,
+    noise,
+    pending_samples,
+)
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
@@ -169,7 +176,13 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     if decision == RESTART:
         only_bad = adaptive.weights.scored <= estimate.samples  # what is known is of the bad samples alone
         pending_m = adaptive.pending.height_m / adaptive.pending.samples
-        reset_estimate(params, adaptive, t_ns, 0.0, pending_m, standoff_m, only_bad)
+        least_m = pending_samples.INNER_GATE * innovation_gate.gate_width(params, adaptive)
+        slope = pending_samples.pending_slope(adaptive.pending, least_m)
+        behind_m = estimate.arc_length_m - adaptive.pending.arc_length_m / adaptive.pending.samples
+        reset_estimate(params, adaptive, t_ns, 0.0, pending_m + slope * behind_m, standoff_m, only_bad)
+        if slope != 0.0:  # on steep ground each sample would be a step from level ground again
+            model_bank.begin_path(bank, slope)
+            blend_models(adaptive)
         return True
     if decision == STEP:
         if rose and innovation > 0.0 and estimate.slope < 0.0:  # the models fall on where the ground rises

@@ -127,6 +127,19 @@ def nearer_wait(adaptive):
 
 
 @jit
+def pending_slope(pending, least_m):
+    """Slope between the first and the newest pending sample; 0 where they differ by less than `least_m`."""
+    newest = pending.samples - 1
+    if not 0 < newest < PENDING_HEIGHTS:
+        return 0.0
+    rise_m = pending.kept_height_m[newest] - pending.kept_height_m[0]
+    travel_m = pending.kept_arc_length_m[newest] - pending.kept_arc_length_m[0]
+    if abs(rise_m) <= least_m or travel_m <= 0.0:
+        return 0.0
+    return min(max(rise_m / travel_m, -MAX_SLOPE), MAX_SLOPE)
+
+
+@jit
 def reject_pending(pending):
     """Drop the pending samples: a sample inside the gate that waits agrees with none of them."""
     if pending.samples > 0:
