@@ -51,12 +51,13 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     since_pose_m = motion.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
     ahead_m += motion.speed_mps * ((latch_ns - adaptive.clock.now_ns) * 1e-9 - wait_s)
-    known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
-    if preview.update_share(adaptive, known):
+    under_tool_m = adaptive.estimate.arc_length_m + ahead_m
+    known_periods = preview.collect_preview(adaptive, inputs, under_tool_m, since_pose_m)
+    if preview.update_share(adaptive, known_periods):
         z, v = plant_identification.predict_axis(params, adaptive.plant, latch_ns)
-        preview.extrapolate_ground(adaptive, known, ahead_m)
+        preview.extrapolate_ground(adaptive, known_periods, ahead_m)
         standoff_m += tested_setpoint.setpoint_shift_m(adaptive.response)
-        preview_control.plan_setpoint(params, adaptive, known, z, v, standoff_m)
+        preview_control.plan_setpoint(params, adaptive, known_periods, z, v, standoff_m)
 
 
 @jit_inlined
