@@ -33,7 +33,7 @@ from surffollow.shm.layout_adaptive_estimation import ACCEPTED, PENDING, RESTART
 
 
 @jit
-def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
+def gate_sample(params, adaptive, innovation_m, travel_m, change_limit_m):
     """Decide on a sample, and note what the next one needs of it.
 
     Parameters
@@ -41,7 +41,7 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
     params, adaptive : records of `Params`, `AdaptiveState` (`gate`, `pending` updated)
     innovation_m : float64  innovation ν of the sample [m]
     travel_m : float64      distance travelled d since the sample before [m]
-    steepest_m : float64    greatest change of the ground since the last accepted sample [m]
+    change_limit_m : float64  greatest change of the ground since the last accepted sample [m]
 
     Returns
     -------
@@ -50,9 +50,9 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
     """
     gate, pending, estimate = adaptive.gate, adaptive.pending, adaptive.estimate
     rises_on = gate.nearer != 0 and innovation_m > 0.0
-    gate.steepest_rise_m = MAX_SLOPE * steepest_m if rises_on else steepest_m
+    gate.rise_limit_m = MAX_SLOPE * change_limit_m if rises_on else change_limit_m
     _update_travel(params, gate, travel_m)
-    decision = _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on)
+    decision = _decide(params, adaptive, innovation_m, travel_m, change_limit_m, rises_on)
     if decision == ACCEPTED:
         if pending.samples >= params.step_samples:  # enough for a step: they were a slot
             gate.slot_likelihood = 1.0
@@ -72,18 +72,18 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
 
 
 @jit
-def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
+def _decide(params, adaptive, innovation_m, travel_m, change_limit_m, rises_on):
     """Decision on a sample.
 
-    With u = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `steepest_m` while
-    no slope is known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible change
-    exceeds u. Behind a drop-out a second one comes soon: they are sparse if they usually are.
+    With u = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `change_limit_m`
+    while no slope is known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible
+    change exceeds u. Behind a drop-out a second one comes soon: they are sparse if they usually are.
     """
     gate, samples = adaptive.gate, adaptive.estimate.samples
     usual, sparse_m = gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m
     usual_way_m = DROPOUT_INTERVALS * adaptive.kinematics.speed_mps * adaptive.hold.interval_s
     begins = samples < CONFIRMATION_SAMPLES
-    plausible = steepest_m if begins else sparse_m
+    plausible = change_limit_m if begins else sparse_m
     gate.width_m = max(usual, plausible)
     sparse = min(sparse_m, PLAUSIBLE_SLOPE * usual_way_m) > usual
     # while no slope is known, samples of nearer ground count on their own
@@ -153,7 +153,7 @@ def _note_nearer(gate, innovation_m, inside):
     `inside`: it is inside the gate, no outlier, and the next one may be nearer, too.
     """
     gate.nearer = 1 if inside and innovation_m > 0.0 else 0
-    gate.withheld_m = innovation_m if 0.0 < innovation_m < gate.steepest_rise_m else 0.0
+    gate.withheld_m = innovation_m if 0.0 < innovation_m < gate.rise_limit_m else 0.0
 
 
 @jit
