@@ -31,6 +31,8 @@ from surffollow.forecast.quantities import (
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
 
+TURNED_SAMPLES = 5  # after so many outside the gate the ground has turned
+
 
 @jit
 def measure_round(params, adaptive):
@@ -169,6 +171,31 @@ def is_repeating(adaptive, c):
 
 
 @jit
+def _is_outlier(adaptive, c, deviation, majority):
+    """Whether a beam is excluded that deviates from the median by so many gates.
+
+    Ground that rises under one beam leaves the gate gradually, and comes to the others.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`beams` updated)
+    c : int              the beam
+    deviation : float64  above the median, over the gate
+    majority : bool      three others agree on a plane: no number of samples makes it the ground
+    """
+    beams = adaptive.beams
+    travel_m = adaptive.kinematics.speed_mps * adaptive.hold.interval_s
+    beams.outside_m[c] = beams.outside_m[c] + travel_m if deviation > 1.0 else 0.0
+    alone = beams.outside_m[c] <= 2.0 * math.sqrt(2.0 * half_squared_distance(beams, c))
+    rises = deviation > 0.0 and beams.deviation[c] > 0.5 and beams.outside_count[c] == 0 and alone
+    deviates = abs(deviation) > 1.0 and adaptive.plane.count > 0 and not rises
+    beams.deviation[c] = deviation
+    count = beams.outside_count[c] + (1 if deviates else -1)
+    beams.outside_count[c] = min(max(count, 0), 2 * TURNED_SAMPLES)
+    return (deviates and count <= TURNED_SAMPLES) or (majority and count > 0)
+
+
+@jit
 def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     """Exclude beams outside the gate, weigh the others; returns how many are accepted.
 
@@ -182,7 +209,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     n, repeating = collect_heights(params, adaptive, t_ns, x_m, y_m)
     median = 0.5 * (beams.sorted_m[(n - 1) // 2] + beams.sorted_m[n // 2])
     gate = beam_gate_m(params, adaptive)
-    agree, turned = 0, 5  # after so many samples outside the gate the ground has turned
+    agree, good = 0, 0
     for k in range(n):
         agree += 1 if abs(beams.sorted_m[k] - median) <= gate else 0
     majority = agree >= 3 and adaptive.plane.rank == 2
@@ -199,10 +226,9 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         odd = odd_beam(adaptive, params.n_channels, gate) if n > 5 else -1
         # of a slow ring, or beams by turns, as many as come in the time in which a fault is over
         interval_ns = max(adaptive.hold.interval_s * 1e9, PAUSE_NS / SETTLED_SAMPLES)
-        beams.inconsistent = max(int(PAUSE_NS / interval_ns), turned) if odd < 0 else 0
+        beams.inconsistent = max(int(PAUSE_NS / interval_ns), TURNED_SAMPLES) if odd < 0 else 0
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
-    good, travel_m = 0, adaptive.kinematics.speed_mps * adaptive.hold.interval_s
     for c in range(params.n_channels):
         if beams.accepted[c] == 0:
             rejected = True
@@ -211,18 +237,8 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         elif beams.inconsistent != 0:
             rejected = not nearest - gate <= beams.height_m[c] <= nearest
         else:
-            deviation = (beams.height_m[c] - median) / gate
-            # ground that rises under one beam leaves the gate gradually, and comes to the others
-            beams.outside_m[c] = beams.outside_m[c] + travel_m if deviation > 1.0 else 0.0
-            alone = beams.outside_m[c] <= 2.0 * math.sqrt(2.0 * half_squared_distance(beams, c))
-            rises = deviation > 0.0 and beams.deviation[c] > 0.5 and beams.outside_count[c] == 0 and alone
-            deviates = abs(deviation) > 1.0 and begun and not rises
-            beams.deviation[c] = deviation
-            count = beams.outside_count[c] + (1 if deviates else -1)
-            beams.outside_count[c] = min(max(count, 0), 2 * turned)
-            unconfirmed = deviates and count <= turned
-            stuck = repeating == 1 and n >= 2 and is_repeating(adaptive, c)
-            rejected = stuck or unconfirmed or (majority and count > 0)
+            outlier = _is_outlier(adaptive, c, (beams.height_m[c] - median) / gate, majority)
+            rejected = outlier or (repeating == 1 and n >= 2 and is_repeating(adaptive, c))
         beams.accepted[c] = 0 if rejected else 1
         recovered = min(beams.weight[c] + 0.1, 1.0) if begun else 1.0  # it comes back within ten samples
         beams.weight[c] = 0.0 if rejected else recovered

@@ -138,18 +138,20 @@ def travel_velocity(kinematics, sense, last):
     just stopped.
     """
     noise_m = 3.0 * kinematics.noise_m  # a way that is as long is noise by chance in 1 of 100
-    short_x, short_y, _, dt = velocity_over(kinematics, sense, last, PAUSE_NS)
-    if elementary.hypot(short_x, short_y) * dt >= 2.0 * noise_m:
+    short_x, short_y, _, short_s = velocity_over(kinematics, sense, last, PAUSE_NS)
+    short_m = elementary.hypot(short_x, short_y) * short_s
+    if short_m >= 2.0 * noise_m:
         return short_x, short_y
-    vx, vy, _, long_s = velocity_over(kinematics, sense, last, 3 * PAUSE_NS)
-    speed = elementary.hypot(vx, vy)
-    if speed * dt >= noise_m and elementary.hypot(short_x, short_y) * dt >= 0.5 * noise_m:
+    long_x, long_y, _, long_s = velocity_over(kinematics, sense, last, 3 * PAUSE_NS)
+    long_mps = elementary.hypot(long_x, long_y)
+    expected_m = long_mps * short_s  # of the shorter way, if the speed is steady
+    if expected_m >= noise_m and short_m >= 0.5 * noise_m:
         return short_x, short_y
     # it starts with twice the way with which it stops
     least_m = 2.0 * noise_m if is_at_rest(kinematics) else noise_m
-    if speed * long_s < least_m or speed * dt > 2.0 * noise_m:
+    if long_mps * long_s < least_m or expected_m > 2.0 * noise_m:
         return 0.0, 0.0
-    return vx, vy
+    return long_x, long_y
 
 
 @jit
