@@ -15,7 +15,6 @@ from surffollow.shm.jit import jit
 DISAGREEMENT_M = 1.5e-3  # heights of one place that differ by more disagree, but for noise
 REGISTRATION_M = 2.0 * CELL_M  # error of the place of a known height
 MAX_UNCONFIRMED_DESCENT_M = 2.0 * DISAGREEMENT_M  # of a plan below the setpoint of the sensor under the tool
-DROP_LENGTH_M = 2.0 * APART_M  # over which a drop is taken; a map is not used for as long after an error
 
 
 @jit
@@ -62,17 +61,18 @@ def disagreement_m(adaptive):
 
 
 @jit
-def _confirm_drop(adaptive, h_m, agrees):
+def _confirm_drop(adaptive, h_m, agrees, length_m):
     """Let plans descend by a drop of the ground that was known, when the newest sample confirms it.
 
     Parameters
     ----------
     adaptive : record of `AdaptiveState` (`known` updated)
-    h_m : float64  height of the sample [m]
-    agrees : bool  known ground is as high
+    h_m : float64       height of the sample [m]
+    agrees : bool       known ground is as high
+    length_m : float64  over which a drop is taken [m]
     """
     known, spacing_m = adaptive.known, adaptive.kinematics.speed_mps * adaptive.hold.interval_s
-    fading = min(spacing_m / DROP_LENGTH_M, 1.0) if known.peak_m != 0.0 else 1.0
+    fading = min(spacing_m / length_m, 1.0) if known.peak_m != 0.0 else 1.0
     known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)
     drop_m = known.peak_m - h_m
     if agrees and drop_m > MAX_UNCONFIRMED_DESCENT_M:
@@ -106,7 +106,8 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     difference_m = min(max(h_m - here - bias_m, -gate), gate)
     known.difference_m2[source] += QUICK_RATE * (difference_m * difference_m - known.difference_m2[source])
     known.contradictions = 0 if agrees else known.contradictions + 1
-    _confirm_drop(adaptive, h_m, agrees)
+    drop_length_m = 2.0 * APART_M  # a map is not used for as long after an error
+    _confirm_drop(adaptive, h_m, agrees, drop_length_m)
     # at first the mean is that of all
     known.compared[source] += 1 if known.compared[source] * SLOW_RATE < 1.0 else 0
     bias_m += difference_m / known.compared[source]
@@ -114,7 +115,7 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     if known.contradictions < 2:
         return False
     known.descent_m = 0.0
-    known.trusted_from_m = s + max(adaptive.lookahead.lead_m, DROP_LENGTH_M)
+    known.trusted_from_m = s + max(adaptive.lookahead.lead_m, drop_length_m)
     return True
 
 
