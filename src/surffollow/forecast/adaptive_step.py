@@ -153,15 +153,14 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     if close != 0:
         limited = fold_back.lead_away(params, limited)
     output.demand[2] = limited
-    if close != 0 or stuck:
-        attitude.release_attitude(adaptive.attitude)  # away from the surface first, then rotate
+    if close != 0 or stuck or not applies:  # away from the surface first, then rotate
+        attitude.release_attitude(adaptive.attitude)
     elif orients(params) and adaptive.plane.count > 0:
         attitude.demand_rotation(params, adaptive, sense, output)
     applied_m = limited if applies and params.run == layout.RUN_NORMAL else 0.0
     plant_identification.record_own_setpoint(adaptive, answered, tool_z + applied_m)
     if not applies:  # the next setpoints begin at the tool
         setpoint_limits.release_setpoint(setpoint)
-        attitude.release_attitude(adaptive.attitude)
     output.delta_h_m = estimate.slope * max(ahead, 0.0)
     output.error_m = params.offset_m - adaptive.hold.range_m
     return status
