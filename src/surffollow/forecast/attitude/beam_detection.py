@@ -8,6 +8,7 @@ majority the beams that see the nearest ground count.
 
 import math
 
+from surffollow.forecast import quantities
 from surffollow.forecast.attitude.beam_times import is_recent, lateness_ns
 from surffollow.forecast.attitude.blocked_beam import beam_gate_m, is_blocked, observe_range
 from surffollow.forecast.attitude.plane_regression import (
@@ -20,14 +21,6 @@ from surffollow.forecast.attitude.plane_regression import (
 from surffollow.forecast.estimation.noise import estimated_range_noise_m
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import (
-    LONG_GAP_NS,
-    MAX_GAP_NS,
-    PAUSE_NS,
-    REPEAT_BAND,
-    SETTLED_SAMPLES,
-    USUAL_SAMPLES,
-)
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
 
@@ -41,7 +34,7 @@ def measure_round(params, adaptive):
     It is 0.9 of the shortest interval of a channel, of which eight beams by turns need 7/8. A beam that
     misses a round is not recent.
     """
-    shortest_s = LONG_GAP_NS * 1e-9  # before a channel has a second reading, all are of one round
+    shortest_s = quantities.LONG_GAP_NS * 1e-9  # before a channel has a second reading, all are of one round
     for c in range(params.n_channels):
         if adaptive.health.interval_s[c] > 0.0:
             shortest_s = min(shortest_s, adaptive.health.interval_s[c])
@@ -58,11 +51,12 @@ def measure_lateness(params, adaptive, sense):
     for c in range(params.n_channels):
         if sense.fresh[c] != 0 and reference_ns != 0:
             late_s = max(reference_ns - beams.t_ns[c], 0) * 1e-9
-            beams.late_s[c] += (min(late_s, LONG_GAP_NS * 1e-9) - beams.late_s[c]) / USUAL_SAMPLES
+            late_s = min(late_s, quantities.LONG_GAP_NS * 1e-9)
+            beams.late_s[c] += (late_s - beams.late_s[c]) / quantities.USUAL_SAMPLES
         if is_recent(beams, c, reference_ns):
             farthest_m2 = max(farthest_m2, half_squared_distance(beams, c))
     radius_m, speed_mps = math.sqrt(2.0 * farthest_m2), adaptive.kinematics.speed_mps
-    beams.reach_s = PAUSE_NS * 1e-9
+    beams.reach_s = quantities.PAUSE_NS * 1e-9
     if radius_m < speed_mps * beams.reach_s:
         beams.reach_s = radius_m / speed_mps
 
@@ -99,7 +93,7 @@ def observe_beams(params, adaptive, sense, pose):
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
     pose : (7,) float64  scratch
     """
-    beams, band_m = adaptive.beams, REPEAT_BAND * estimated_range_noise_m(adaptive.noise)
+    beams, band_m = adaptive.beams, quantities.REPEAT_BAND * estimated_range_noise_m(adaptive.noise)
     measure_round(params, adaptive)
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
@@ -166,7 +160,7 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
 @jit
 def is_repeating(adaptive, c):
     """Whether a beam repeats its range for longer than chance explains: a drop-out and 12 intervals."""
-    stuck_ns = MAX_GAP_NS + 12.0 * adaptive.hold.interval_s * 1e9
+    stuck_ns = quantities.MAX_GAP_NS + 12.0 * adaptive.hold.interval_s * 1e9
     return adaptive.beams.t_ns[c] - adaptive.beams.repeat_ns[c] > stuck_ns
 
 
@@ -225,8 +219,8 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         # one wrong beam of six or more does not count against all others
         odd = odd_beam(adaptive, params.n_channels, gate) if n > 5 else -1
         # of a slow ring, or beams by turns, as many as come in the time in which a fault is over
-        interval_ns = max(adaptive.hold.interval_s * 1e9, PAUSE_NS / SETTLED_SAMPLES)
-        beams.inconsistent = max(int(PAUSE_NS / interval_ns), TURNED_SAMPLES) if odd < 0 else 0
+        interval_ns = max(adaptive.hold.interval_s * 1e9, quantities.PAUSE_NS / quantities.SETTLED_SAMPLES)
+        beams.inconsistent = max(int(quantities.PAUSE_NS / interval_ns), TURNED_SAMPLES) if odd < 0 else 0
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
     for c in range(params.n_channels):

@@ -16,17 +16,9 @@
 
 import math
 
+from surffollow.forecast import quantities
 from surffollow.forecast.estimation import pending_samples
 from surffollow.forecast.modes import adapts
-from surffollow.forecast.quantities import (
-    CONFIRMATION_SAMPLES,
-    DROPOUT_INTERVALS,
-    MAX_SLOPE,
-    MEAN_TO_SIGMA,
-    PLAUSIBLE_SLOPE,
-    QUICK_RATE,
-    USUAL_SAMPLES,
-)
 from surffollow.forecast.sensing.sample_hold import count_m, is_slow
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, PENDING, RESTART, STEP, WITHHELD
@@ -50,7 +42,7 @@ def gate_sample(params, adaptive, innovation_m, travel_m, change_limit_m):
     """
     gate, pending, estimate = adaptive.gate, adaptive.pending, adaptive.estimate
     rises_on = gate.nearer != 0 and innovation_m > 0.0
-    gate.rise_limit_m = MAX_SLOPE * change_limit_m if rises_on else change_limit_m
+    gate.rise_limit_m = quantities.MAX_SLOPE * change_limit_m if rises_on else change_limit_m
     _update_travel(params, gate, travel_m)
     decision = _decide(params, adaptive, innovation_m, travel_m, change_limit_m, rises_on)
     if decision == ACCEPTED:
@@ -65,7 +57,7 @@ def gate_sample(params, adaptive, innovation_m, travel_m, change_limit_m):
         _note_nearer(gate, innovation_m, decision == WITHHELD)
         # many that agree with none, and lie on both sides, are noise. After few samples the estimate itself
         # may lie on one side of them
-        both_sides = pending.opposed >= 3 or estimate.samples < USUAL_SAMPLES
+        both_sides = pending.opposed >= 3 or estimate.samples < quantities.USUAL_SAMPLES
         if adapt and noisy_s > adaptive.plant.tau_s and pending.rejected >= 8 and both_sides:
             gate.scale_m *= 1.25
     return decision
@@ -80,12 +72,12 @@ def _decide(params, adaptive, innovation_m, travel_m, change_limit_m, rises_on):
     change exceeds u. Behind a drop-out a second one comes soon: they are sparse if they usually are.
     """
     gate, samples = adaptive.gate, adaptive.estimate.samples
-    usual, sparse_m = gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m
-    usual_way_m = DROPOUT_INTERVALS * adaptive.kinematics.speed_mps * adaptive.hold.interval_s
-    begins = samples < CONFIRMATION_SAMPLES
+    usual, sparse_m = gate_width(params, adaptive), quantities.PLAUSIBLE_SLOPE * travel_m
+    usual_way_m = quantities.DROPOUT_INTERVALS * adaptive.kinematics.speed_mps * adaptive.hold.interval_s
+    begins = samples < quantities.CONFIRMATION_SAMPLES
     plausible = change_limit_m if begins else sparse_m
     gate.width_m = max(usual, plausible)
-    sparse = min(sparse_m, PLAUSIBLE_SLOPE * usual_way_m) > usual
+    sparse = min(sparse_m, quantities.PLAUSIBLE_SLOPE * usual_way_m) > usual
     # while no slope is known, samples of nearer ground count on their own
     sparse = sparse or (begins and innovation_m > 0.0 and plausible > usual)
     inner_m = pending_samples.INNER_GATE * (gate.width_m if begins else usual)
@@ -135,7 +127,7 @@ def register_step(params, gate, pending, t_ns):
     step_m = pending.innovation_m / pending.samples
     below = pending.least_m < min(step_m, 0.0) - gate.width_m
     above = pending.greatest_m > max(step_m, 0.0) + gate.width_m
-    burst = pending.rejected >= CONFIRMATION_SAMPLES and (below or above)
+    burst = pending.rejected >= quantities.CONFIRMATION_SAMPLES and (below or above)
     if (leaves_slot and gate.step_ns != 0) or burst:
         gate.slot_likelihood = 1.0
     gate.travel_since_step_m = 0.0
@@ -166,7 +158,8 @@ def note_remainder(params, adaptive, remainder_m):
 @jit
 def update_scale(gate, innovation_m):
     """Update the usual innovation with one that counts at most the width of the gate."""
-    gate.scale_m += QUICK_RATE * (MEAN_TO_SIGMA * min(abs(innovation_m), gate.width_m) - gate.scale_m)
+    scale_m = quantities.MEAN_TO_SIGMA * min(abs(innovation_m), gate.width_m)
+    gate.scale_m += quantities.QUICK_RATE * (scale_m - gate.scale_m)
 
 
 @jit
@@ -178,7 +171,7 @@ def gate_width(params, adaptive):
 @jit
 def is_outlier(params, adaptive, innovation_m, travel_m):
     """Whether a sample with this innovation, so far behind the one before, lies beyond the inner gate."""
-    width_m = max(gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m)
+    width_m = max(gate_width(params, adaptive), quantities.PLAUSIBLE_SLOPE * travel_m)
     return abs(innovation_m) > pending_samples.INNER_GATE * width_m
 
 
