@@ -176,8 +176,16 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
     ],
     "more samples in a burst": [("pending_samples", "int(0.25 * tau_s", "int(0.0 * tau_s")],
     "wider gate of sparse samples": [
-        ("innovation_gate", "adaptive), PLAUSIBLE_SLOPE * travel_m\n", "adaptive), 0.0 * travel_m\n"),
-        ("innovation_gate", "adaptive), PLAUSIBLE_SLOPE * travel_m)", "adaptive), 0.0 * travel_m)"),
+        (
+            "innovation_gate",
+            "adaptive), quantities.PLAUSIBLE_SLOPE * travel_m\n",
+            "adaptive), 0.0 * travel_m\n",
+        ),
+        (
+            "innovation_gate",
+            "adaptive), quantities.PLAUSIBLE_SLOPE * travel_m)",
+            "adaptive), 0.0 * travel_m)",
+        ),
     ],
     "wrong samples taken back": [("earlier_bank", "1 if is_slow(adaptive) else 0", "0")],
     "confirmed drops of known ground": [

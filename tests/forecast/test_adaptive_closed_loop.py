@@ -577,6 +577,9 @@ def way_m(speeds_mps, acceleration_mps2, seconds=3.0):
         (TORCH, (0.1, -0.1), 5.0, 10, 0.1),
         (CELL, (0.1, 1.2), 1e6, 20, 0.1),
         (CELL, (0.25, -0.25), 1e6, 50, 0.1),
+        # compared with the mean velocity alone these are jumps again and again, up to contact
+        (CELL, (0.1, 1.0), 1e6, 50, 0.1),
+        (CELL, (0.0, 0.8), 10.0, 90, 0.1),
         (CELL, (0.0, 0.4), 5.0, 90, 0.25),  # two reports are taken for jumps: the tool waits 180 ms
     ],
 )

@@ -58,6 +58,17 @@ def stop_and_go(speed_mps: float, ramp_s: float, moving_s: float, resting_s: flo
     return place_m
 
 
+def valleys(fall: float, rise: float, length_m: float):
+    """Height [m] of ground that falls over a length, rises to where it was, and so on."""
+    period_m = length_m * (1.0 + fall / rise)
+
+    def ground_m(x: float, t: float) -> float:
+        u = x % period_m
+        return -fall * u if u < length_m else rise * (u - length_m) - fall * length_m
+
+    return ground_m
+
+
 @pytest.mark.parametrize(
     ("speed_mps", "fall", "rise", "length_m", "ramp_taus", "moving_taus", "resting_taus"),
     [
@@ -75,12 +86,7 @@ def test_stop_and_go_over_slopes_costs_no_clearance(
     Each sample over a rise was a step, which left falling slopes as they were. The slope of the blend went
     to -10, and the tool touched the ground, VALID.
     """
-    period_m, tau = length_m * (1.0 + fall / rise), SPRAYER.tau_s
-
-    def ground_m(x: float, t: float) -> float:
-        u = x % period_m
-        return -fall * u if u < length_m else rise * (u - length_m) - fall * length_m
-
+    ground_m, tau = valleys(fall, rise, length_m), SPRAYER.tau_s
     place_m = stop_and_go(speed_mps, ramp_taus * tau, moving_taus * tau, resting_taus * tau)
     ours, plain = (
         follow(SPRAYER, ground_m, 40.0, plain=p, place_m=place_m, seed=2).clearance_m.min()
@@ -92,13 +98,20 @@ def test_stop_and_go_over_slopes_costs_no_clearance(
 
 def test_samples_above_an_estimate_that_falls_faster_than_the_ground_agree():
     """GIVEN a fall of 25 % WHEN the tool starts on it THEN it stays over it: it stopped 1 stand-off above."""
-    fall, rise, length_m, tau = 0.25, 0.2, 42.4, DRONE.tau_s
-    period_m = length_m * (1.0 + fall / rise)
-
-    def ground_m(x: float, t: float) -> float:
-        u = x % period_m
-        return -fall * u if u < length_m else rise * (u - length_m) - fall * length_m
-
+    ground_m, tau = valleys(0.25, 0.2, 42.4), DRONE.tau_s
     place_m = stop_and_go(3.3, 0.65 * tau, 11.0 * tau, 22.0 * tau)
     run = follow(replace(DRONE, reading_s=0.12, sigma_m=0.0006), ground_m, 60.0, place_m=place_m, seed=2)
     assert run.clearance_m.max() < 1.5 * DRONE.standoff_m
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_tool_that_stops_and_goes_through_a_valley_keeps_its_clearance(seed):
+    """GIVEN models that fall WHEN the ground rises THEN a step up begins the path anew.
+
+    The models fell on behind each step: the tool came within 0.6 to 0.7 of its stand-off.
+    """
+    tau = DRONE.tau_s
+    place_m, ground_m = stop_and_go(8.8, 0.8 * tau, 10.0 * tau, 11.3 * tau), valleys(0.063, 0.124, 305.0)
+    run = follow(replace(DRONE, reading_s=0.06), ground_m, 40.0, place_m=place_m, seed=seed)
+    print(f"least clearance {run.clearance_m.min():.3f} m of {DRONE.standoff_m} m")
+    assert run.clearance_m.min() > 0.9 * DRONE.standoff_m

@@ -15,7 +15,7 @@ from surffollow.benchmark.suite import Cell
 from surffollow.follower import Follower
 from surffollow.forecast.estimation.model_weights import update_index
 from surffollow.forecast.estimation.setpoint_lead import update_lead
-from surffollow.forecast.reset import begin_fresh
+from surffollow.forecast.reset import reset_learned
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_estimation import N_MODELS, WAVES
@@ -45,7 +45,7 @@ def test_the_part_is_that_of_the_least_mean_square(seed: int) -> None:
     least = np.clip(np.minimum(*parts), 0.0, 1.0)
     assert a["lead"]["left_out"][:WAVES] == pytest.approx(least, abs=1e-9)
     assert (a["lead"]["left_out"][WAVES:] == 0.0).all(), "waves keep their lead"
-    begin_fresh(a)
+    reset_learned(a)
     assert (a["lead"]["left_out"] == 0.0).all()
     assert (a["lead"]["excess_m2"] == 0.0).all()
     assert (a["lead"]["effect_m2"] == 0.0).all()

@@ -15,6 +15,7 @@ from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_follow import SenseState
 
 from .feeding import default_params
+from .tilted import beam_of, rotated, times, turned
 
 MS = 1_000_000
 RADIUS_M, SLOPE = 0.03, 0.2
@@ -73,3 +74,34 @@ def test_a_beam_that_misses_its_turn_is_left_out_and_another_one_is_the_referenc
     a["health"]["interval_s"][1] = 4e-3  # a slow beam among quick ones is not of their plane
     measure_round(params, a)
     assert not is_recent(a["beams"], 2, 1076 * MS)
+
+
+@pytest.mark.parametrize("n", [3, 4])
+def test_a_ring_that_is_read_by_turns_waits_for_all_beams_before_it_leads_the_tool(n):
+    """GIVEN a ring at its stand-off, along a fall of 30 % WHEN it begins THEN the tool hardly climbs.
+
+    The height by one beam alone is wrong by up to 15 mm. It led the tool away by 16 to 19 mm.
+    """
+    angles, standoff_m, fall = 1.0 + 2.0 * math.pi * np.arange(n) / n, 0.1, 0.3
+    places = 0.05 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
+    f = Follower({"sensors": [{"position_m": p} for p in places.tolist()]}, offset_m=standoff_m)
+    rng, z, tilt, farthest_m = np.random.default_rng(1), standoff_m, np.zeros(2), 0.0
+    goal, goal_tilt = z, tilt
+    for ms in range(1000):
+        t, x = 10**9 + ms * MS, 2e-4 * ms
+        q = times(turned(math.degrees(tilt[1])), turned(0.0, math.degrees(tilt[0])))
+        if ms % 12 == 0:
+            c, ranges = ms // 12 % n, [math.nan] * n
+            at, along = rotated(q, places[c]), beam_of(q)
+            ranges[c] = (z + at[2] + fall * (x + at[0])) / (-fall * along[0] - along[2])
+            ranges[c] += 2e-4 * rng.standard_normal()
+            f.step(t, ranges)
+        if ms % 10 == 0:
+            f.pose(t, (x, 0.0, z, *q))
+            demand = f.step(t, [math.nan] * n)
+            goal, goal_tilt = z + float(demand[2]), tilt + demand[3:5]
+            farthest_m = max(farthest_m, (z + fall * x) / math.hypot(1.0, fall))
+        z += 1e-3 * min(max((goal - z) / 0.04, -0.2), 0.2)
+        tilt = tilt + 1e-3 * (goal_tilt - tilt) / 0.04
+    print(f"greatest distance {1e3 * farthest_m:.1f} mm of 100")
+    assert farthest_m < 1.07 * standoff_m

@@ -57,12 +57,13 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     since_pose_m = motion.speed_mps * (latch_ns - pose_t_ns) * 1e-9
     wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
     ahead_m += motion.speed_mps * ((latch_ns - adaptive.clock.now_ns) * 1e-9 - wait_s)
-    known = preview.collect_preview(adaptive, inputs, adaptive.estimate.arc_length_m + ahead_m, since_pose_m)
-    if preview.update_share(adaptive, known):
+    under_tool_m = adaptive.estimate.arc_length_m + ahead_m
+    known_periods = preview.collect_preview(adaptive, inputs, under_tool_m, since_pose_m)
+    if preview.update_share(adaptive, known_periods):
         z, v = plant_identification.predict_axis(params, adaptive, latch_ns)
-        preview.extrapolate_ground(adaptive, known, ahead_m)
+        preview.extrapolate_ground(adaptive, known_periods, ahead_m)
         standoff_m += tested_setpoint.setpoint_shift_m(adaptive.response)
-        preview_control.plan_setpoint(params, adaptive, known, z, v, standoff_m)
+        preview_control.plan_setpoint(params, adaptive, known_periods, z, v, standoff_m)
 
 
 @jit_inlined
@@ -159,15 +160,14 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     if close != 0:
         limited = fold_back.lead_away(params, limited)
     output.demand[2] = limited
-    if close != 0 or stuck:
-        attitude.release_attitude(adaptive.attitude)  # away from the surface first, then rotate
+    if close != 0 or stuck or not applies:  # away from the surface first, then rotate
+        attitude.release_attitude(adaptive.attitude)
     elif orients(params) and adaptive.plane.count > 0:
         attitude.demand_rotation(params, adaptive, sense, output)
     applied_m = limited if applies and params.run == layout.RUN_NORMAL else 0.0
     own_setpoints.record_own_setpoint(adaptive.own, answered, adaptive.clock.now_ns, tool_z + applied_m)
     if not applies:  # the next setpoints begin at the tool
         setpoint_limits.release_setpoint(setpoint)
-        attitude.release_attitude(adaptive.attitude)
     output.delta_h_m = estimate.slope * max(ahead, 0.0)
     output.error_m = params.offset_m - adaptive.hold.range_m
     return status

@@ -89,7 +89,7 @@ def choose_scales(params, state):
     reset.clear_record(state, reset.SCALED)
     d.length, d.time, d.shift = length, math.ldexp(1.0, shift), shift
     if begun:
-        reset.begin_anew(state, 0)
+        reset.reset_follower(state, 0)
 
 
 @jit_inlined

@@ -27,8 +27,8 @@ def clear_record(state, place):
 
 
 @jit
-def begin_anew(state, fault):
-    """Begin without knowledge: all records of the default follower are zero, but latched faults.
+def reset_follower(state, fault):
+    """Reset all records of the default follower to zero, but latched faults.
 
     Parameters
     ----------
@@ -42,8 +42,8 @@ def begin_anew(state, fault):
 
 
 @jit
-def begin_fresh(adaptive):
-    """Begin the estimate without knowledge of noise and ground: the index prefers no model.
+def reset_learned(adaptive):
+    """Reset what was learned of noise and ground: the performance index prefers no model.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def begin_fresh(adaptive):
 
 
 @jit
-def forget_surface(state):
+def reset_surface(state):
     """SFReset: begin both modes with the next sample.
 
     Measurements, the fold-back latch, noise, model weights, plant and terrain stay.

@@ -25,7 +25,7 @@ def sf_reset(params, state, offset_m):
     """
     params[0].offset_m = offset_m
     reference_scales.choose_scales(params, state)
-    reset.forget_surface(state)
+    reset.reset_surface(state)
     state[0].stop_armed = 0
 
 
@@ -159,7 +159,7 @@ def adaptive_cycle(params, state, sense, fold, inputs, output, pose, ready):
         status = adaptive_step.compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     if adaptive.health.forget != 0:
         output.fresh = 0  # of this cycle nothing is mapped
-        reset.begin_anew(state, adaptive.health.forget)
+        reset.reset_follower(state, adaptive.health.forget)
     adaptive_step.publish_estimate(params, adaptive, output)
     if not ready:
         output.health, output.reason = DROPOUT, REASON_POSE
@@ -203,7 +203,7 @@ def follow_step(params, state, inputs, output, scratch):
     p, s, i, o = params[0], state[0], inputs[0], output[0]
     if p.mode != s.mode:  # the mode in force knows the surface from before it was left
         s.mode = p.mode
-        reset.forget_surface(state)
+        reset.reset_surface(state)
     take_poses(s.sense, i)
     if i.n_ranges > 0:
         take_ranges(p, s.sense, i)

@@ -50,7 +50,7 @@ class Gate(Schema):
 
     scale_m = F64(unit="m", doc="usual innovation of the blend")
     width_m = F64(unit="m", doc="width of the gate for the newest sample")
-    steepest_rise_m = F64(unit="m", doc="greatest rise of the ground up to the newest sample")
+    rise_limit_m = F64(unit="m", doc="greatest rise of the ground up to the newest sample")
     unconfirmed_m = F64(unit="m", doc="innovation held back for a second sample; 0: none")
     withheld_m = F64(unit="m", doc="innovation of a nearer sample that waits for a second one; 0: none")
     nearer = I64(doc="1: the newest sample was nearer than the models follow; so may the next one be")

@@ -8,6 +8,7 @@ majority the beams that see the nearest ground count.
 
 import math
 
+from surffollow.forecast import quantities
 from surffollow.forecast.attitude.beam_times import is_recent, lateness_ns
 from surffollow.forecast.attitude.blocked_beam import beam_gate_m, is_blocked, observe_range
 from surffollow.forecast.attitude.plane_regression import (
@@ -20,16 +21,10 @@ from surffollow.forecast.attitude.plane_regression import (
 from surffollow.forecast.estimation.noise import estimated_range_noise_m
 from surffollow.forecast.plant.plant_identification import predict_pose
 from surffollow.forecast.pose import footprint
-from surffollow.forecast.quantities import (
-    LONG_GAP_NS,
-    MAX_GAP_NS,
-    PAUSE_NS,
-    REPEAT_BAND,
-    SETTLED_SAMPLES,
-    USUAL_SAMPLES,
-)
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
+
+TURNED_SAMPLES = 5  # after so many outside the gate the ground has turned
 
 
 @jit
@@ -39,7 +34,7 @@ def measure_round(params, adaptive):
     It is 0.9 of the shortest interval of a channel, of which eight beams by turns need 7/8. A beam that
     misses a round is not recent.
     """
-    shortest_s = LONG_GAP_NS * 1e-9  # before a channel has a second reading, all are of one round
+    shortest_s = quantities.LONG_GAP_NS * 1e-9  # before a channel has a second reading, all are of one round
     for c in range(params.n_channels):
         if adaptive.health.interval_s[c] > 0.0:
             shortest_s = min(shortest_s, adaptive.health.interval_s[c])
@@ -56,11 +51,12 @@ def measure_lateness(params, adaptive, sense):
     for c in range(params.n_channels):
         if sense.fresh[c] != 0 and reference_ns != 0:
             late_s = max(reference_ns - beams.t_ns[c], 0) * 1e-9
-            beams.late_s[c] += (min(late_s, LONG_GAP_NS * 1e-9) - beams.late_s[c]) / USUAL_SAMPLES
+            late_s = min(late_s, quantities.LONG_GAP_NS * 1e-9)
+            beams.late_s[c] += (late_s - beams.late_s[c]) / quantities.USUAL_SAMPLES
         if is_recent(beams, c, reference_ns):
             farthest_m2 = max(farthest_m2, half_squared_distance(beams, c))
     radius_m, speed_mps = math.sqrt(2.0 * farthest_m2), adaptive.kinematics.speed_mps
-    beams.reach_s = PAUSE_NS * 1e-9
+    beams.reach_s = quantities.PAUSE_NS * 1e-9
     if radius_m < speed_mps * beams.reach_s:
         beams.reach_s = radius_m / speed_mps
 
@@ -97,7 +93,7 @@ def observe_beams(params, adaptive, sense, pose):
     params, adaptive, sense : records of `Params`, `AdaptiveState` (updated), `SenseState`
     pose : (7,) float64  scratch
     """
-    beams, band_m = adaptive.beams, REPEAT_BAND * estimated_range_noise_m(adaptive.noise)
+    beams, band_m = adaptive.beams, quantities.REPEAT_BAND * estimated_range_noise_m(adaptive.noise)
     measure_round(params, adaptive)
     for c in range(params.n_channels):
         if sense.fresh[c] == 0:
@@ -164,8 +160,33 @@ def collect_heights(params, adaptive, t_ns, x_m, y_m):
 @jit
 def is_repeating(adaptive, c):
     """Whether a beam repeats its range for longer than chance explains: a drop-out and 12 intervals."""
-    stuck_ns = MAX_GAP_NS + 12.0 * adaptive.hold.interval_s * 1e9
+    stuck_ns = quantities.MAX_GAP_NS + 12.0 * adaptive.hold.interval_s * 1e9
     return adaptive.beams.t_ns[c] - adaptive.beams.repeat_ns[c] > stuck_ns
+
+
+@jit
+def _is_outlier(adaptive, c, deviation, majority):
+    """Whether a beam is excluded that deviates from the median by so many gates.
+
+    Ground that rises under one beam leaves the gate gradually, and comes to the others.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`beams` updated)
+    c : int              the beam
+    deviation : float64  above the median, over the gate
+    majority : bool      three others agree on a plane: no number of samples makes it the ground
+    """
+    beams = adaptive.beams
+    travel_m = adaptive.kinematics.speed_mps * adaptive.hold.interval_s
+    beams.outside_m[c] = beams.outside_m[c] + travel_m if deviation > 1.0 else 0.0
+    alone = beams.outside_m[c] <= 2.0 * math.sqrt(2.0 * half_squared_distance(beams, c))
+    rises = deviation > 0.0 and beams.deviation[c] > 0.5 and beams.outside_count[c] == 0 and alone
+    deviates = abs(deviation) > 1.0 and adaptive.plane.count > 0 and not rises
+    beams.deviation[c] = deviation
+    count = beams.outside_count[c] + (1 if deviates else -1)
+    beams.outside_count[c] = min(max(count, 0), 2 * TURNED_SAMPLES)
+    return (deviates and count <= TURNED_SAMPLES) or (majority and count > 0)
 
 
 @jit
@@ -182,7 +203,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     n, repeating = collect_heights(params, adaptive, t_ns, x_m, y_m)
     median = 0.5 * (beams.sorted_m[(n - 1) // 2] + beams.sorted_m[n // 2])
     gate = beam_gate_m(params, adaptive)
-    agree, turned = 0, 5  # after so many samples outside the gate the ground has turned
+    agree, good = 0, 0
     for k in range(n):
         agree += 1 if abs(beams.sorted_m[k] - median) <= gate else 0
     majority = agree >= 3 and adaptive.plane.rank == 2
@@ -198,11 +219,10 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         # one wrong beam of six or more does not count against all others
         odd = odd_beam(adaptive, params.n_channels, gate) if n > 5 else -1
         # of a slow ring, or beams by turns, as many as come in the time in which a fault is over
-        interval_ns = max(adaptive.hold.interval_s * 1e9, PAUSE_NS / SETTLED_SAMPLES)
-        beams.inconsistent = max(int(PAUSE_NS / interval_ns), turned) if odd < 0 else 0
+        interval_ns = max(adaptive.hold.interval_s * 1e9, quantities.PAUSE_NS / quantities.SETTLED_SAMPLES)
+        beams.inconsistent = max(int(quantities.PAUSE_NS / interval_ns), TURNED_SAMPLES) if odd < 0 else 0
     elif beams.inconsistent != 0:  # faulty beams lie on a plane with good ones by chance only, and seldom
         beams.inconsistent -= 1
-    good, travel_m = 0, adaptive.kinematics.speed_mps * adaptive.hold.interval_s
     for c in range(params.n_channels):
         if beams.accepted[c] == 0:
             rejected = True
@@ -211,18 +231,8 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         elif beams.inconsistent != 0:
             rejected = not nearest - gate <= beams.height_m[c] <= nearest
         else:
-            deviation = (beams.height_m[c] - median) / gate
-            # ground that rises under one beam leaves the gate gradually, and comes to the others
-            beams.outside_m[c] = beams.outside_m[c] + travel_m if deviation > 1.0 else 0.0
-            alone = beams.outside_m[c] <= 2.0 * math.sqrt(2.0 * half_squared_distance(beams, c))
-            rises = deviation > 0.0 and beams.deviation[c] > 0.5 and beams.outside_count[c] == 0 and alone
-            deviates = abs(deviation) > 1.0 and begun and not rises
-            beams.deviation[c] = deviation
-            count = beams.outside_count[c] + (1 if deviates else -1)
-            beams.outside_count[c] = min(max(count, 0), 2 * turned)
-            unconfirmed = deviates and count <= turned
-            stuck = repeating == 1 and n >= 2 and is_repeating(adaptive, c)
-            rejected = stuck or unconfirmed or (majority and count > 0)
+            outlier = _is_outlier(adaptive, c, (beams.height_m[c] - median) / gate, majority)
+            rejected = outlier or (repeating == 1 and n >= 2 and is_repeating(adaptive, c))
         beams.accepted[c] = 0 if rejected else 1
         recovered = min(beams.weight[c] + 0.1, 1.0) if begun else 1.0  # it comes back within ten samples
         beams.weight[c] = 0.0 if rejected else recovered

@@ -98,20 +98,21 @@ def observe_rotation(params, adaptive, t_ns, pose):
     mean[0], mean[1] = mean[0] + share * (dx - mean[0]), mean[1] + share * (dy - mean[1])
     # beyond four standard deviations of the mean the deviation has changed
     band = 4.0 * assumed_noise_m(adaptive.noise) * math.sqrt(share / plane.spread_m2)
-    u = rotation.run_axis if rotation.phase == ROTATION_RUN else rotation.test_axis
-    _, turn = rotation_between(u, axis)
-    # the tool stops at `permitted_turn_rad` from the test's direction
+    in_run = rotation.phase == ROTATION_RUN
+    _, turn = rotation_between(rotation.run_axis if in_run else rotation.test_axis, axis)
+    # a test turns the tool back by `probe`; it stops at `permitted_turn_rad` from the test's direction
     least = MOTION_BANDS * band
     probe = least + params.permitted_turn_rad
     back = probe - turn  # by which the tool has turned back in a test
     # with one blocked beam of three the deviation grows by a third of the rotation
-    answer = band if rotation.phase == ROTATION_RUN else max(TEST_BAND_FACTOR * band, 0.5 * back)
-    answers = rotation.phase == ROTATION_RUN or back > 0.5 * least
-    if answers and elementary.hypot(mean[0] - run[0], mean[1] - run[1]) > answer:
+    answer = band if in_run else max(TEST_BAND_FACTOR * band, 0.5 * back)
+    can_answer = in_run or back > 0.5 * least
+    if can_answer and elementary.hypot(mean[0] - run[0], mean[1] - run[1]) > answer:
         _begin_run(rotation, t_ns, axis)
         return
-    if rotation.phase == ROTATION_RUN:
-        rotation.samples += 1
+    rotation.samples += 1 if can_answer else 0
+    enough = rotation.samples * share > MIN_MEANS
+    if in_run:
         if rotation.samples < RUN_SAMPLES:  # the mean of the run is the better known one
             part = 1.0 / rotation.samples
             run[0], run[1] = run[0] + part * (mean[0] - run[0]), run[1] + part * (mean[1] - run[1])
@@ -119,18 +120,17 @@ def observe_rotation(params, adaptive, t_ns, pose):
         deviation = elementary.hypot(run[0], run[1])
         wrong = is_suspicious(deviation, turn, rate, band, adaptive.plant.tau_s, params.max_tilt_rad)
         far = turn > 0.3 * params.max_tilt_rad  # beyond, a constant deviation is always tested
-        if rotation.samples * share > MIN_MEANS and turn > probe and (wrong or far):
+        if enough and turn > probe and (wrong or far):
             rotation.phase, rotation.samples, rotation.test_ns = ROTATION_TEST, 0, t_ns
             for i in range(3):
                 rotation.test_axis[i] = axis[i] + probe / turn * (rotation.run_axis[i] - axis[i])
     elif rotation.phase == ROTATION_TEST:
-        rotation.samples += 1 if back > 0.5 * least else 0
         obeyed = params.run == RUN_NORMAL and adaptive.attitude.t_ns != 0 and adaptive.beams.inconsistent == 0
         if not obeyed:
             rotation.test_ns = t_ns  # no rotation is demanded, or none is applied
         longest_s = ANSWER_TAUS * adaptive.plant.tau_s + 2.0 * probe / params.max_turn_speed_radps
         late = (t_ns - rotation.test_ns) * 1e-9 > longest_s
-        if rotation.samples * share > MIN_MEANS or late:
+        if enough or late:
             rotation.phase = ROTATION_FAILED
 
 

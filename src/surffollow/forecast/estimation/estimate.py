@@ -14,7 +14,7 @@ from surffollow.forecast.estimation import (
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
-from surffollow.forecast.reset import begin_fresh
+from surffollow.forecast.reset import reset_learned
 from surffollow.forecast.sensing import kinematics
 from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.forecast.terrain.terrain_buffer import sensor_leads, store_ground_under
@@ -61,7 +61,7 @@ def reset_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m, fresh):
     model_bank.reset_bank(adaptive.bank, h_m, noise.INITIAL_NOISE_M * noise.INITIAL_NOISE_M)
     shadow_axes.reset_shadows(adaptive.shadow, t_ns, h_m + standoff_m)
     if fresh:
-        begin_fresh(adaptive)
+        reset_learned(adaptive)
     estimate.samples, estimate.kept_slope = 1, 0.0
     if fresh or adapts(params, adaptive):
         model_weights.update_weights(params, adaptive, math.inf)  # without their filter
@@ -168,9 +168,9 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
     estimate.height_m = model_weights.blended(adaptive, bank.height_m)
     innovation = h_m - estimate.height_m
     # a fall that was expected is part of the innovation, too
-    steepest = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)
+    change_limit_m = (travel + max(-estimate.slope, 0.0) * way) * (since_accepted_ns * 1e-9 / dt)
     rose = gate.nearer != 0
-    decision = innovation_gate.gate_sample(params, adaptive, innovation, travel, steepest)
+    decision = innovation_gate.gate_sample(params, adaptive, innovation, travel, change_limit_m)
     if decision < ACCEPTED:
         return False
     if decision == RESTART:

@@ -16,24 +16,16 @@
 
 import math
 
+from surffollow.forecast import quantities
 from surffollow.forecast.estimation import pending_samples
 from surffollow.forecast.modes import adapts
-from surffollow.forecast.quantities import (
-    CONFIRMATION_SAMPLES,
-    DROPOUT_INTERVALS,
-    MAX_SLOPE,
-    MEAN_TO_SIGMA,
-    PLAUSIBLE_SLOPE,
-    QUICK_RATE,
-    USUAL_SAMPLES,
-)
 from surffollow.forecast.sensing.sample_hold import count_m, is_slow
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, PENDING, RESTART, STEP, WITHHELD
 
 
 @jit
-def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
+def gate_sample(params, adaptive, innovation_m, travel_m, change_limit_m):
     """Decide on a sample, and note what the next one needs of it.
 
     Parameters
@@ -41,7 +33,7 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
     params, adaptive : records of `Params`, `AdaptiveState` (`gate`, `pending` updated)
     innovation_m : float64  innovation ν of the sample [m]
     travel_m : float64      distance travelled d since the sample before [m]
-    steepest_m : float64    greatest change of the ground since the last accepted sample [m]
+    change_limit_m : float64  greatest change of the ground since the last accepted sample [m]
 
     Returns
     -------
@@ -50,9 +42,9 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
     """
     gate, pending, estimate = adaptive.gate, adaptive.pending, adaptive.estimate
     rises_on = gate.nearer != 0 and innovation_m > 0.0
-    gate.steepest_rise_m = MAX_SLOPE * steepest_m if rises_on else steepest_m
+    gate.rise_limit_m = quantities.MAX_SLOPE * change_limit_m if rises_on else change_limit_m
     _update_travel(params, gate, travel_m)
-    decision = _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on)
+    decision = _decide(params, adaptive, innovation_m, travel_m, change_limit_m, rises_on)
     if decision == ACCEPTED:
         if pending.samples >= params.step_samples:  # enough for a step: they were a slot
             gate.slot_likelihood = 1.0
@@ -65,27 +57,27 @@ def gate_sample(params, adaptive, innovation_m, travel_m, steepest_m):
         _note_nearer(gate, innovation_m, decision == WITHHELD)
         # many that agree with none, and lie on both sides, are noise. After few samples the estimate itself
         # may lie on one side of them
-        both_sides = pending.opposed >= 3 or estimate.samples < USUAL_SAMPLES
+        both_sides = pending.opposed >= 3 or estimate.samples < quantities.USUAL_SAMPLES
         if adapt and noisy_s > adaptive.plant.tau_s and pending.rejected >= 8 and both_sides:
             gate.scale_m *= 1.25
     return decision
 
 
 @jit
-def _decide(params, adaptive, innovation_m, travel_m, steepest_m, rises_on):
+def _decide(params, adaptive, innovation_m, travel_m, change_limit_m, rises_on):
     """Decision on a sample.
 
-    With u = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `steepest_m` while
-    no slope is known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible change
-    exceeds u. Behind a drop-out a second one comes soon: they are sparse if they usually are.
+    With u = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `change_limit_m`
+    while no slope is known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible
+    change exceeds u. Behind a drop-out a second one comes soon: they are sparse if they usually are.
     """
     gate, samples = adaptive.gate, adaptive.estimate.samples
-    usual, sparse_m = gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m
-    usual_way_m = DROPOUT_INTERVALS * adaptive.kinematics.speed_mps * adaptive.hold.interval_s
-    begins = samples < CONFIRMATION_SAMPLES
-    plausible = steepest_m if begins else sparse_m
+    usual, sparse_m = gate_width(params, adaptive), quantities.PLAUSIBLE_SLOPE * travel_m
+    usual_way_m = quantities.DROPOUT_INTERVALS * adaptive.kinematics.speed_mps * adaptive.hold.interval_s
+    begins = samples < quantities.CONFIRMATION_SAMPLES
+    plausible = change_limit_m if begins else sparse_m
     gate.width_m = max(usual, plausible)
-    sparse = min(sparse_m, PLAUSIBLE_SLOPE * usual_way_m) > usual
+    sparse = min(sparse_m, quantities.PLAUSIBLE_SLOPE * usual_way_m) > usual
     # while no slope is known, samples of nearer ground count on their own
     sparse = sparse or (begins and innovation_m > 0.0 and plausible > usual)
     inner_m = pending_samples.INNER_GATE * (gate.width_m if begins else usual)
@@ -135,7 +127,7 @@ def register_step(params, gate, pending, t_ns):
     step_m = pending.innovation_m / pending.samples
     below = pending.least_m < min(step_m, 0.0) - gate.width_m
     above = pending.greatest_m > max(step_m, 0.0) + gate.width_m
-    burst = pending.rejected >= CONFIRMATION_SAMPLES and (below or above)
+    burst = pending.rejected >= quantities.CONFIRMATION_SAMPLES and (below or above)
     if (leaves_slot and gate.step_ns != 0) or burst:
         gate.slot_likelihood = 1.0
     gate.travel_since_step_m = 0.0
@@ -153,7 +145,7 @@ def _note_nearer(gate, innovation_m, inside):
     `inside`: it is inside the gate, no outlier, and the next one may be nearer, too.
     """
     gate.nearer = 1 if inside and innovation_m > 0.0 else 0
-    gate.withheld_m = innovation_m if 0.0 < innovation_m < gate.steepest_rise_m else 0.0
+    gate.withheld_m = innovation_m if 0.0 < innovation_m < gate.rise_limit_m else 0.0
 
 
 @jit
@@ -166,7 +158,8 @@ def note_remainder(params, adaptive, remainder_m):
 @jit
 def update_scale(gate, innovation_m):
     """Update the usual innovation with one that counts at most the width of the gate."""
-    gate.scale_m += QUICK_RATE * (MEAN_TO_SIGMA * min(abs(innovation_m), gate.width_m) - gate.scale_m)
+    scale_m = quantities.MEAN_TO_SIGMA * min(abs(innovation_m), gate.width_m)
+    gate.scale_m += quantities.QUICK_RATE * (scale_m - gate.scale_m)
 
 
 @jit
@@ -178,7 +171,7 @@ def gate_width(params, adaptive):
 @jit
 def is_outlier(params, adaptive, innovation_m, travel_m):
     """Whether a sample with this innovation, so far behind the one before, lies beyond the inner gate."""
-    width_m = max(gate_width(params, adaptive), PLAUSIBLE_SLOPE * travel_m)
+    width_m = max(gate_width(params, adaptive), quantities.PLAUSIBLE_SLOPE * travel_m)
     return abs(innovation_m) > pending_samples.INNER_GATE * width_m
 
 

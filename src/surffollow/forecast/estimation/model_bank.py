@@ -91,9 +91,9 @@ def propagate_bank(bank, way_m, d, stretch):
     Parameters
     ----------
     bank : record of `Bank` (updated)
-    way_m : float64  length of the path, in F [m]
-    d : float64      length in Q: that, or more where the ground may have moved [m]
-    stretch : float64  noise of slopes is that on a path so many times as long, on which they are less steep
+    way_m : float64    length d of the path, in F [m]
+    d : float64        length d_Q in Q: that, or more where the ground may have moved [m]
+    stretch : float64  β: slopes have the noise of those on a path so many times as long, which are less steep
 
     Notes
     -----

@@ -32,6 +32,30 @@ def begin_descent(adaptive, tool_z_m, reach_m):
 
 
 @jit
+def _update_mean(adaptive, range_m, error_samples):
+    """Update running mean and spread of the ranges; the range, within three mean deviations [m].
+
+    At first a range whose noise has grown counts as an outlier, too.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`descent` updated)
+    range_m : float64        range [m]
+    error_samples : float64  number of samples in the mean deviation
+    """
+    descent, number = adaptive.descent, mean_range.mean_samples(adaptive)
+    most_m = mean_range.BAND_SIGMAS * max(descent.scatter_m, range_noise_m(adaptive.noise))
+    deviation_m = min(max(range_m - descent.range_m, -most_m), most_m)
+    descent.scatter_m += (abs(deviation_m) - descent.scatter_m) / error_samples
+    range_m = descent.range_m + deviation_m
+    fade = min(adaptive.hold.interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
+    descent.range_m += (range_m - descent.range_m) / number
+    descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)
+    descent.most_m = max(descent.most_m + fade * (descent.range_m - descent.most_m), descent.range_m)
+    return range_m
+
+
+@jit
 def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     """Update the descent with a sample of channel 0; half the spread of the ranges if it is to be tested [m].
 
@@ -56,9 +80,8 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     -------
     float64  half the spread ±B of the ranges, if the descent is to be tested [m]; 0: it is not
     """
-    descent, before_ns, interval_s = adaptive.descent, adaptive.response.t_ns, adaptive.hold.interval_s
-    number, band = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
-    error_samples = 8.0 * number  # in the mean error: with more a slow sensor is named later
+    descent, before_ns, band = adaptive.descent, adaptive.response.t_ns, mean_range.range_band_m(adaptive)
+    error_samples = 8.0 * mean_range.mean_samples(adaptive)  # with more a slow sensor is named later
     share_m = 0.1 * params.offset_m  # below the lowest ground until then a descent is tested
     if before_ns == 0 or not 0 < t_ns - before_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
@@ -72,15 +95,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
         begin_descent(adaptive, tool_z_m, descent.reach_m)
         descent.unexplained = 0
         return 0.0
-    # an outlier counts as one of three mean deviations; so does, at first, a range whose noise has grown
-    most_m = mean_range.BAND_SIGMAS * max(descent.scatter_m, range_noise_m(adaptive.noise))
-    deviation_m = min(max(range_m - descent.range_m, -most_m), most_m)
-    descent.scatter_m += (abs(deviation_m) - descent.scatter_m) / error_samples
-    range_m = descent.range_m + deviation_m
-    fade = min(interval_s / (SPREAD_TAUS * adaptive.plant.tau_s), 1.0)
-    descent.range_m += (range_m - descent.range_m) / number
-    descent.least_m = min(descent.least_m + fade * (descent.range_m - descent.least_m), descent.range_m)
-    descent.most_m = max(descent.most_m + fade * (descent.range_m - descent.most_m), descent.range_m)
+    range_m = _update_mean(adaptive, range_m, error_samples)
     fall_m, rise_m = descent.top_z_m - descent.low_z_m, tool_z_m - descent.low_z_m
     if rise_m > min(fall_m, max(MOTION_BANDS * band, 0.1 * fall_m)):  # another descent begins
         begin_descent(adaptive, tool_z_m, share_m)
@@ -90,7 +105,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     descent.samples += 1
     newest = min(float(descent.samples), error_samples)
     descent.error_m += (range_m - params.offset_m - descent.error_m) / newest
-    descent.travel_m += adaptive.kinematics.speed_mps * interval_s
+    descent.travel_m += adaptive.kinematics.speed_mps * adaptive.hold.interval_s
     spread_m = max(0.5 * (descent.most_m - descent.least_m), band)
     unexplained = _is_unexplained(params, adaptive, tool_z_m, spread_m)
     descent.unexplained = 1 if unexplained else 0

@@ -1,15 +1,7 @@
 """Velocity of the tool, and jumps of its reported position."""
 
-from surffollow.forecast import elementary
+from surffollow.forecast import elementary, quantities
 from surffollow.forecast.pose import newest_until
-from surffollow.forecast.quantities import (
-    APART_M,
-    LONG_GAP_NS,
-    MAX_GAP_NS,
-    PAUSE_NS,
-    USUAL_SAMPLES,
-    follow_usual,
-)
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import JUMP_ASIDE, JUMP_SEEN, JUMP_UP
 from surffollow.shm.layout_follow import POSES
@@ -49,7 +41,7 @@ def velocity_over(kinematics, sense, last, window_ns):
     """
     t = sense.pose_t_ns[last & (POSES - 1)]
     k = newest_until(sense.pose_t_ns, sense.pose_count, max(t - window_ns, kinematics.jump_ns))
-    first = k + 1 if t - sense.pose_t_ns[k & (POSES - 1)] > LONG_GAP_NS else k
+    first = k + 1 if t - sense.pose_t_ns[k & (POSES - 1)] > quantities.LONG_GAP_NS else k
     return velocity_between(sense, first, last)
 
 
@@ -65,21 +57,22 @@ def note_jump(params, kinematics, sense, last):
     slot = last & (POSES - 1)
     t_ns, height_m = sense.pose_t_ns[slot], sense.pose[7 * slot + 2]
     vx, vy, _, dt = velocity_between(sense, last - 1, last)
-    if not 0.0 < dt <= LONG_GAP_NS * 1e-9:
+    if not 0.0 < dt <= quantities.LONG_GAP_NS * 1e-9:
         return False
     up = abs(height_m - coast_height(kinematics, sense, last - 1, t_ns))
-    most_up = max(APART_M, 2.0 * params.plant_v_max_mps * dt, params.gate_scales * kinematics.climb_scatter_m)
-    kinematics.climb_scatter_m = follow_usual(kinematics.climb_scatter_m, min(up, most_up))
-    if dt > PAUSE_NS * 1e-9:
+    scatter_m = params.gate_scales * kinematics.climb_scatter_m
+    most_up = max(quantities.APART_M, 2.0 * params.plant_v_max_mps * dt, scatter_m)
+    kinematics.climb_scatter_m = quantities.follow_usual(kinematics.climb_scatter_m, min(up, most_up))
+    if dt > quantities.PAUSE_NS * 1e-9:
         return False
     aside = elementary.hypot(vx - kinematics.velocity_x_mps, vy - kinematics.velocity_y_mps) * dt
     if last > 1:
         before_x, before_y, _, before_s = velocity_between(sense, last - 2, last - 1)
-        if 0.0 < before_s <= PAUSE_NS * 1e-9:
+        if 0.0 < before_s <= quantities.PAUSE_NS * 1e-9:
             aside = min(aside, elementary.hypot(vx - before_x, vy - before_y) * dt)
     most_aside = max(0.02, params.gate_scales * kinematics.noise_m)  # 20 mm aside are no jump
     # from 0: a first report that starts or stops the tool is no noise
-    kinematics.noise_m += (min(aside, most_aside) - kinematics.noise_m) / USUAL_SAMPLES
+    kinematics.noise_m += (min(aside, most_aside) - kinematics.noise_m) / quantities.USUAL_SAMPLES
     climbed = up > most_up
     if not climbed and aside <= most_aside:
         return False
@@ -111,7 +104,7 @@ def spans_jump(kinematics):
 def has_jumped(adaptive):
     """Whether the reported position has jumped within the last second."""
     jump_ns = adaptive.kinematics.jump_ns
-    return jump_ns != 0 and 0 <= adaptive.clock.now_ns - jump_ns < LONG_GAP_NS
+    return jump_ns != 0 and 0 <= adaptive.clock.now_ns - jump_ns < quantities.LONG_GAP_NS
 
 
 @jit
@@ -125,7 +118,7 @@ def coast_height(kinematics, sense, report, t_ns):
     t_ns : int64  the time
     """
     slot = max(report, 0) & (POSES - 1)
-    late_ns = min(max(t_ns - sense.pose_t_ns[slot], 0), MAX_GAP_NS)
+    late_ns = min(max(t_ns - sense.pose_t_ns[slot], 0), quantities.MAX_GAP_NS)
     return sense.pose[7 * slot + 2] + kinematics.climb_mps * late_ns * 1e-9
 
 
@@ -138,18 +131,20 @@ def travel_velocity(kinematics, sense, last):
     just stopped.
     """
     noise_m = 3.0 * kinematics.noise_m  # a way that is as long is noise by chance in 1 of 100
-    short_x, short_y, _, dt = velocity_over(kinematics, sense, last, PAUSE_NS)
-    if elementary.hypot(short_x, short_y) * dt >= 2.0 * noise_m:
+    short_x, short_y, _, short_s = velocity_over(kinematics, sense, last, quantities.PAUSE_NS)
+    short_m = elementary.hypot(short_x, short_y) * short_s
+    if short_m >= 2.0 * noise_m:
         return short_x, short_y
-    vx, vy, _, long_s = velocity_over(kinematics, sense, last, 3 * PAUSE_NS)
-    speed = elementary.hypot(vx, vy)
-    if speed * dt >= noise_m and elementary.hypot(short_x, short_y) * dt >= 0.5 * noise_m:
+    long_x, long_y, _, long_s = velocity_over(kinematics, sense, last, 3 * quantities.PAUSE_NS)
+    long_mps = elementary.hypot(long_x, long_y)
+    expected_m = long_mps * short_s  # of the shorter way, if the speed is steady
+    if expected_m >= noise_m and short_m >= 0.5 * noise_m:
         return short_x, short_y
     # it starts with twice the way with which it stops
     least_m = 2.0 * noise_m if is_at_rest(kinematics) else noise_m
-    if speed * long_s < least_m or speed * dt > 2.0 * noise_m:
+    if long_mps * long_s < least_m or expected_m > 2.0 * noise_m:
         return 0.0, 0.0
-    return vx, vy
+    return long_x, long_y
 
 
 @jit

@@ -66,11 +66,14 @@ def _ceiling_m(params, adaptive, tool_z_m, lift_m):
 
 
 @jit
-def _begin_lift(params, adaptive, tool_z_m, lift_m):
-    """Lift the setpoint by `lift_m`, from the tool's height at the newest sample [m]."""
+def _begin_lift(params, adaptive, phase, tool_z_m, lift_m):
+    """Lift the setpoint by `lift_m`, from the tool's height at the newest sample [m].
+
+    `phase`: RESPONSE_LIFT, or RESPONSE_RUN for a shift.
+    """
     response = adaptive.response
     response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
-    _begin_phase(response, layout.RESPONSE_LIFT, tool_z_m)
+    _begin_phase(response, phase, tool_z_m)
     response.lift_m = response.missing_m = lift_m
     response.ceiling_z_m = _ceiling_m(params, adaptive, tool_z_m, lift_m)
 
@@ -126,20 +129,18 @@ def _update_run(params, adaptive, tool_z_m):
     far = not sparse and descent + run.rate_mps * stop_s > MAX_DESCENT * params.offset_m
     long = sign != layout.NO_SIGN and run.samples > 2.0 * MIN_MEANS * number
     if response.lift_m == 0.0 and (long or ((steep or returns) and descent > least_m)):
-        _begin_phase(response, layout.RESPONSE_RUN, tool_z_m)
-        response.lift_m = (1.0 if steep else 0.5) * MOTION_BANDS * band_m
+        shift_m = (1.0 if steep else 0.5) * MOTION_BANDS * band_m
         begun_ns = response.t_ns - int(1e9 * run.samples * adaptive.hold.interval_s)
         below = abs(adaptive.sample.lead_m) < APART_M  # the range of a lead has the slope in it
         if not rises and below and begun_ns < response.settled_ns:
             # the run began while the tool came back from a test: what is left of that would hide the answer
-            response.lift_m += max(run.range_m - params.offset_m, 0.0)
-        response.lead_m = _excess_lead_m(adaptive, tool_z_m)
-        response.ceiling_z_m = _ceiling_m(params, adaptive, tool_z_m, response.lift_m)
+            shift_m += max(run.range_m - params.offset_m, 0.0)
+        _begin_lift(params, adaptive, layout.RESPONSE_RUN, tool_z_m, shift_m)
     late = response.lift_m > 0.0 and (response.t_ns - response.test_ns) * 1e-9 > wait_s
     if rises:
         if late:  # the greater shift stands out from the lag of the axis
             lift_m = response.lift_m + MOTION_BANDS * band_m + tau_s * run.rate_mps
-            _begin_lift(params, adaptive, tool_z_m, lift_m)
+            _begin_lift(params, adaptive, layout.RESPONSE_LIFT, tool_z_m, lift_m)
     elif late or far or sign == layout.SIGN_FOR_HOLD:
         _begin_phase(response, layout.RESPONSE_HOLD, tool_z_m)
 
@@ -198,7 +199,7 @@ def _update_test(params, adaptive, tool_z_m):
         return
     if response.phase == layout.RESPONSE_HOLD:
         lift_m = max(MOTION_BANDS * mean_range.range_band_m(adaptive), SWINGS[1] * response.swing_m)
-        _begin_lift(params, adaptive, tool_z_m, lift_m)
+        _begin_lift(params, adaptive, layout.RESPONSE_LIFT, tool_z_m, lift_m)
         return
     obeyed = stands if rises and below_m < allowed_m else response.missing_m < allowed_m
     applied = adaptive.setpoint.t_ns != 0  # not in FREEZE

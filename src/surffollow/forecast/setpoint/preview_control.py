@@ -23,25 +23,25 @@ ACCELERATION_SHARE = 0.9  # of the axis' acceleration; the rest is for correctio
 
 
 @jit
-def point_weight(k, known):
+def point_weight(k, known_periods):
     """Weight of point k of the plan, which is k + 1 periods from now.
 
     Ground is extrapolated over 16 periods. Beyond, the weight is not 0, so that the matrix stays regular.
     """
-    if k + 1 < known:
+    if k + 1 < known_periods:
         return 1.0
-    return 0.5 if k + 1 < known + 16 else 1e-6
+    return 0.5 if k + 1 < known_periods + 16 else 1e-6
 
 
 @jit
-def factorise(plan, known, stiffness):
+def factorise(plan, known_periods, stiffness):
     """LDLᵀ of W + stiffness·DᵀD, for second differences D with known position and velocity at the begin."""
     for k in range(HORIZON):
         # row k of DᵀD: differences b_k (centre k-1; b_0 is twice the first point), b_{k+1}, b_{k+2}
         d = (4.0 if k == 0 else 1.0) + (4.0 if k + 1 < HORIZON else 0.0) + (1.0 if k + 2 < HORIZON else 0.0)
         e = (-2.0 if k + 1 < HORIZON else 0.0) + (-2.0 if k + 2 < HORIZON else 0.0)
         f = 1.0 if k + 2 < HORIZON else 0.0
-        d, e, f = point_weight(k, known) + stiffness * d, stiffness * e, stiffness * f
+        d, e, f = point_weight(k, known_periods) + stiffness * d, stiffness * e, stiffness * f
         if k >= 1:
             d -= plan.factor_1[k - 1] ** 2 * plan.factor_0[k - 1]
             e -= plan.factor_1[k - 1] * plan.factor_2[k - 1] * plan.factor_0[k - 1]
@@ -70,20 +70,20 @@ def solve(plan):
 
 
 @jit
-def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
+def solve_plan(params, adaptive, known_periods, z_m, v_mps, standoff_m):
     """Solve the plan: positions relative to now in `plan.position_m`.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`; `preview.ground_m` holds the ground from now on
-    known, z_m, standoff_m : as in `plan_setpoint`
+    known_periods, z_m, standoff_m : as in `plan_setpoint`
     v_mps : float64  velocity of the axis now, with the disturbance [m/s]
     """
     n, plan, ground_m = HORIZON, adaptive.plan, adaptive.preview.ground_m
     limit = ACCELERATION_SHARE * params.plant_a_max_mps2 * PERIOD_S * PERIOD_S
     penalty = 60.0  # of ADMM
     stiffness = params.plan_effort_s4 / PERIOD_S**4 + penalty
-    factorise(plan, known, stiffness)
+    factorise(plan, known_periods, stiffness)
     begin = 2.0 * v_mps * PERIOD_S  # b_0 = 2 z_0 - 2 v T, relative to now
     for k in range(n - 1):
         plan.acceleration_m[k] = plan.acceleration_m[k + 1]
@@ -92,7 +92,8 @@ def solve_plan(params, adaptive, known, z_m, v_mps, standoff_m):
     for _ in range(25):  # convergence with a warm start is compared with a general solver in the tests
         for k in range(n):
             # point k is k + 1 periods from now
-            plan.position_m[k] = point_weight(k, known) * (ground_m[min(k + 1, n - 1)] + standoff_m - z_m)
+            desired_m = ground_m[min(k + 1, n - 1)] + standoff_m - z_m
+            plan.position_m[k] = point_weight(k, known_periods) * desired_m
             # difference k spans points k-2, k-1 and k; the point before point 0 is now, at 0
             r = penalty * (plan.acceleration_m[k] - plan.multiplier_m[k])
             plan.position_m[k] += 2.0 * (r + stiffness * begin) if k == 0 else r
@@ -125,29 +126,29 @@ def planned_position(plan, periods):
 
 
 @jit
-def least_speed(params, adaptive, known, z_m, standoff_m, hold):
+def least_speed(params, adaptive, known_periods, z_m, standoff_m, held_periods):
     """Velocity from which the axis can stop above the lowest ground known until then, ≤ 0 [m/s].
 
     Parameters
     ----------
-    params, adaptive, known, z_m, standoff_m : as in `plan_setpoint`
-    hold : float64  periods until the next setpoint
+    params, adaptive, known_periods, z_m, standoff_m : as in `plan_setpoint`
+    held_periods : float64  until the next setpoint
     """
     ground_m, brake_mps2 = adaptive.preview.ground_m, ACCELERATION_SHARE * params.plant_a_max_mps2
     late = int(CELL_M / max(adaptive.kinematics.speed_mps * PERIOD_S, CELL_M / HORIZON))
     lowest, least = ground_m[0], -params.plant_v_max_mps
     # where the sensor under the tool confirms the ground second passes over boxes gain 11 % by 4 mm
     early_m = MAX_UNCONFIRMED_DESCENT_M if adaptive.preview.sensed_periods > 0 else 4e-3
-    for k in range(1, known):
+    for k in range(1, known_periods):
         lowest = min(lowest, ground_m[max(k - late, 0)])  # the place of an edge is known to a cell
         room = max(z_m - lowest - standoff_m + early_m, 0.0)
-        braking_s = max(k - hold, 0.0) * PERIOD_S  # it brakes from the next setpoint on
+        braking_s = max(k - held_periods, 0.0) * PERIOD_S  # it brakes from the next setpoint on
         least = max(least, -(room + 0.5 * brake_mps2 * braking_s * braking_s) / (k * PERIOD_S))
     return least
 
 
 @jit
-def lead_back(plan, ground_m, known, z_m, speed_mps, standoff_m):
+def lead_back(plan, ground_m, known_periods, z_m, speed_mps, standoff_m):
     """Let the setpoint lead back a tool that has left the known ground on one side, and does not return.
 
     The plan changes the velocity of the tool by what its axis can do in a period. Where wind moves it faster,
@@ -157,10 +158,10 @@ def lead_back(plan, ground_m, known, z_m, speed_mps, standoff_m):
     ----------
     plan : record of `Plan`   `setpoint_m` updated
     ground_m : float64 array  the ground from now on [m]
-    known, z_m, standoff_m : as in `plan_setpoint`
+    known_periods, z_m, standoff_m : as in `plan_setpoint`
     speed_mps : float64       velocity of the tool at the latch time [m/s]
     """
-    lowest_m, highest_m = ground_m[:known].min(), ground_m[:known].max()
+    lowest_m, highest_m = ground_m[:known_periods].min(), ground_m[:known_periods].max()
     if z_m < lowest_m + standoff_m and speed_mps <= 0.0:
         plan.setpoint_m = max(plan.setpoint_m, lowest_m + standoff_m)
     if z_m > highest_m + standoff_m and speed_mps >= 0.0:
@@ -168,26 +169,26 @@ def lead_back(plan, ground_m, known, z_m, speed_mps, standoff_m):
 
 
 @jit
-def plan_setpoint(params, adaptive, known, z_m, v_mps, standoff_m):
+def plan_setpoint(params, adaptive, known_periods, z_m, v_mps, standoff_m):
     """Solve the plan and invert the axis model: setpoint of the coming period.
 
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (`plan` updated)
-    known : int           known periods of ground
+    known_periods : int   periods of `preview.ground_m` that are known
     z_m, v_mps : float64  axis at the latch time [m, m/s], its velocity without the disturbance
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    plan, hold = adaptive.plan, usual_periods(adaptive.controller)
+    plan, held_periods = adaptive.plan, usual_periods(adaptive.controller)
     disturbance_mps = adaptive.plant.disturbance_mps
-    solve_plan(params, adaptive, known, z_m, v_mps + disturbance_mps, standoff_m)
-    next_m = planned_position(plan, hold + 1.0)
-    straight_m = planned_position(plan, hold) + 0.5 * (next_m - planned_position(plan, hold - 1.0))
+    solve_plan(params, adaptive, known_periods, z_m, v_mps + disturbance_mps, standoff_m)
+    held_m, next_m = planned_position(plan, held_periods), planned_position(plan, held_periods + 1.0)
+    straight_m = held_m + 0.5 * (next_m - planned_position(plan, held_periods - 1.0))
     # one period behind a setpoint the axis is between the place to which its velocity then leads it (alone it
     # is late at edges) and the plan (alone it is early: second passes 1.03 times the error)
     desired_m = straight_m + 0.5 * (next_m - straight_m)
-    least_mps = least_speed(params, adaptive, known, z_m, standoff_m, hold)
-    ahead_s = (hold + 1.0) * PERIOD_S
+    least_mps = least_speed(params, adaptive, known_periods, z_m, standoff_m, held_periods)
+    held_s, ahead_s = held_periods * PERIOD_S, (held_periods + 1.0) * PERIOD_S
     desired_m = z_m + max(desired_m, ahead_s * least_mps) - ahead_s * disturbance_mps
-    plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, desired_m, hold * PERIOD_S)
-    lead_back(plan, adaptive.preview.ground_m, known, z_m, v_mps + disturbance_mps, standoff_m)
+    plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, desired_m, held_s)
+    lead_back(plan, adaptive.preview.ground_m, known_periods, z_m, v_mps + disturbance_mps, standoff_m)

@@ -67,10 +67,10 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         change, rise = min(max(change, -margin), margin), min(max(rise, -margin), margin)
         # the greatest slope of a wave is √(θ² + κ²/ω²)
         rises = i >= WAVES and curvature[i] ** 2 <= (steepest**2 - slope[i] ** 2) * omega[i] ** 2
-        fall = 1.0 if rises else 1.0 - level_share
-        growth *= fall if change < 0.0 else 1.0
-        change *= fall if change < 0.0 else 1.0
-        rise *= fall if rise < 0.0 else 1.0
+        kept = 1.0 if rises else 1.0 - level_share  # of what falls
+        growth *= kept if change < 0.0 else 1.0
+        change *= kept if change < 0.0 else 1.0
+        rise *= kept if rise < 0.0 else 1.0
         h = bank.height_m[i] + standoff_m
         blend.model_m[i] = h + change - left_out * (change - rise)
         blend.model_slope[i] = growth

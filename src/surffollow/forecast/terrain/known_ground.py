@@ -61,11 +61,30 @@ def disagreement_m(adaptive):
 
 
 @jit
+def _confirm_drop(adaptive, h_m, agrees, length_m):
+    """Let plans descend by a drop of the ground that was known, when the newest sample confirms it.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState` (`known` updated)
+    h_m : float64       height of the sample [m]
+    agrees : bool       known ground is as high
+    length_m : float64  over which a drop is taken [m]
+    """
+    known, spacing_m = adaptive.known, adaptive.kinematics.speed_mps * adaptive.hold.interval_s
+    fading = min(spacing_m / length_m, 1.0) if known.peak_m != 0.0 else 1.0
+    known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)
+    drop_m = known.peak_m - h_m
+    if agrees and drop_m > MAX_UNCONFIRMED_DESCENT_M:
+        known.descent_m += fading * max(drop_m - known.descent_m, 0.0)
+
+
+@jit
 def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     """Compare the newest sample of channel 0 with known ground; whether two in a row contradict it.
 
     Then known ground is used again beyond all that the look-ahead sensor has measured, or farther on in the
-    map. A drop that was known and that the sample confirms allows plans to descend by as much.
+    map.
 
     Parameters
     ----------
@@ -87,13 +106,8 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     difference_m = min(max(h_m - here - bias_m, -gate), gate)
     known.difference_m2[source] += QUICK_RATE * (difference_m * difference_m - known.difference_m2[source])
     known.contradictions = 0 if agrees else known.contradictions + 1
-    drop_length_m = 2.0 * APART_M  # over which a drop is taken; a map is not used for as long after an error
-    spacing_m = adaptive.kinematics.speed_mps * adaptive.hold.interval_s
-    fading = min(spacing_m / drop_length_m, 1.0) if known.peak_m != 0.0 else 1.0
-    known.peak_m = max(known.peak_m + (h_m - known.peak_m) * fading, h_m)
-    drop = known.peak_m - h_m
-    if agrees and drop > MAX_UNCONFIRMED_DESCENT_M:
-        known.descent_m += fading * max(drop - known.descent_m, 0.0)
+    drop_length_m = 2.0 * APART_M  # a map is not used for as long after an error
+    _confirm_drop(adaptive, h_m, agrees, drop_length_m)
     # at first the mean is that of all
     known.compared[source] += 1 if known.compared[source] * SLOW_RATE < 1.0 else 0
     bias_m += difference_m / known.compared[source]

@@ -45,7 +45,7 @@ def observe_ground(params, adaptive, h_m):
 
 
 @jit
-def extrapolate_ground(adaptive, known, ahead_m):
+def extrapolate_ground(adaptive, known_periods, ahead_m):
     """Fill `preview.ground_m` beyond the known points as the model bank continues, by 45° at most.
 
     The height returns to the recent mean in proportion to the share of the error of such predictions: from
@@ -54,17 +54,17 @@ def extrapolate_ground(adaptive, known, ahead_m):
     Parameters
     ----------
     adaptive : record of `AdaptiveState` (`preview` updated)
-    known : int              known points of `preview.ground_m`, ≥ 1
+    known_periods : int      of `preview.ground_m`, ≥ 1
     ahead_m : float64        point 0, ahead of the newest sample [m]
     """
     preview, step = adaptive.preview, adaptive.kinematics.speed_mps * PERIOD_S
     ground = preview.ground_m
-    last, end_m = ground[known - 1], ahead_m + step * (known - 1)
+    last, end_m = ground[known_periods - 1], ahead_m + step * (known_periods - 1)
     before = bank_rise(adaptive, end_m)
     noise_m2 = assumed_noise_m(adaptive.noise) ** 2
     reversion = 1.5 * preview.error_m2 / (preview.error_m2 + preview.offset_m2 + noise_m2)
-    for k in range(known, HORIZON):
-        x = step * (k + 1 - known)
+    for k in range(known_periods, HORIZON):
+        x = step * (k + 1 - known_periods)
         if x > 2.0 * PREDICTION_M:
             ground[k] = ground[k - 1]
             continue
@@ -90,17 +90,17 @@ def collect_preview(adaptive, inputs, s_m, ahead_m):
     if leads and is_at_rest(adaptive.kinematics):
         ground[:] = known_ground.height_at_rest(adaptive, s_m)
         return HORIZON if math.isfinite(ground[0]) else 0
-    bias_m, periods = 0.0 if leads else known.bias_m[known_ground.known_source(adaptive)], 0
+    bias_m, known_periods = 0.0 if leads else known.bias_m[known_ground.known_source(adaptive)], 0
     for k in range(HORIZON):
         travel = adaptive.kinematics.speed_mps * PERIOD_S * k
         ground[k] = known_ground.known_height(adaptive, inputs, s_m + travel, ahead_m + travel) + bias_m
-        if k == periods and math.isfinite(ground[k]):
-            periods += 1
-    return periods
+        if k == known_periods and math.isfinite(ground[k]):
+            known_periods += 1
+    return known_periods
 
 
 @jit
-def update_share(adaptive, known):
+def update_share(adaptive, known_periods):
     """Raise or lower preview's share of the setpoint by one controller period; whether there is a share.
 
     To raise it takes known ground over the reaction time of the axis, seven periods. Ground that ends is
@@ -109,17 +109,17 @@ def update_share(adaptive, known):
     Parameters
     ----------
     adaptive : record of `AdaptiveState` (`preview` updated)
-    known : int         known periods of ground
+    known_periods : int  of ground ahead
     """
     preview, leads = adaptive.preview, terrain_buffer.sensor_leads(adaptive)
     sure = adaptive.clock.now_ns >= preview.suspended_until_ns and known_ground.is_useful(adaptive)
     # the distance ahead of a lone sensor may be just as long: one period less does not end the plan
-    usable = known >= (7 if preview.share == 0.0 else 6) and sure
+    usable = known_periods >= (7 if preview.share == 0.0 else 6) and sure
     # a mixture of the blend and a plan catches up too fast where such a sensor begins
     rise = 1.0 if leads else 0.15
     preview.share += rise if usable else -0.15
-    preview.share = min(max(preview.share, 0.0), 1.0 if known > 0 else 0.0)
-    preview.sensed_periods = known if leads else 0
+    preview.share = min(max(preview.share, 0.0), 1.0 if known_periods > 0 else 0.0)
+    preview.sensed_periods = known_periods if leads else 0
     return preview.share > 0.0
 
 
