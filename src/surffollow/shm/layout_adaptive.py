@@ -81,7 +81,8 @@ class OwnSetpoints(Schema):
     latched = Nested(Setpoints, doc="by a controller that latches the demands at its reports")
     given = Nested(Setpoints, doc="by one that latches each demand")
     takes_each = I64(doc="1: it latches each demand; 0: those at its reports")
-    error_m = F64(unit="m", doc="usual error of the observed axis")
+    compared = I64(doc="reports compared, as many as a mean is of at most")
+    error_m = F64(unit="m", doc="mean error of the observed axis")
     other_error_m = F64(unit="m", doc="what it would be, did the controller latch the others")
     newest_m = F64(unit="m", doc="setpoint of the cycle before")
 
@@ -245,6 +246,7 @@ REASON_NAMES = (
     "readings of some sensors are older than those of the others and are left out",
     "the beam does not point downward: the frame of the pose or the mount is wrong",
     "range shrinks when the tool rises: its height has the wrong sign, or the sensor is in its fold-back",
+    "a single reading so far: the interval of the sensor is not known yet",
 )
 (
     REASON_NONE,
@@ -268,7 +270,8 @@ REASON_NAMES = (
     REASON_OLD,
     REASON_UPWARD,
     REASON_REVERSED,
-) = range(21)
+    REASON_SINGLE,
+) = range(22)
 REASON_CHANNELS = 8  # first bit of a reason that names a channel
 
 

@@ -11,8 +11,8 @@ from surffollow.forecast.quantities import USUAL_SAMPLES
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import N_LATCHES
 
-OTHER_SHARE = 0.5  # of the usual error: a series with less is the one latched, and no chance
-LEAST_SHARE = 0.2  # of the least noise: the mean from 0 of four reports that err by it
+OTHER_SHARE = 0.5  # of the mean error: a series with less is the one latched, and no chance
+LEAST_SUM = 4.0  # of the least noise: errors of the first reports that are no chance
 
 
 @jit
@@ -54,10 +54,11 @@ def compare_series(own, error_m, other_error_m):
     error_m : float64        distance of a report from the axis that follows the setpoints latched [m]
     other_error_m : float64  from one that follows the others [m]
     """
-    # means from 0: a first report counts no more than others, and small errors need several
-    own.error_m += (error_m - own.error_m) / USUAL_SAMPLES
-    own.other_error_m += (other_error_m - own.other_error_m) / USUAL_SAMPLES
-    if own.error_m <= LEAST_SHARE * MIN_NOISE_M or own.other_error_m >= OTHER_SHARE * own.error_m:
+    own.compared = min(own.compared + 1, USUAL_SAMPLES)
+    own.error_m += (error_m - own.error_m) / own.compared
+    own.other_error_m += (other_error_m - own.other_error_m) / own.compared
+    least_m = max(MIN_NOISE_M, LEAST_SUM * MIN_NOISE_M / own.compared)
+    if own.error_m <= least_m or own.other_error_m >= OTHER_SHARE * own.error_m:
         return False
     own.takes_each = 1 - own.takes_each
     own.error_m, own.other_error_m = own.other_error_m, own.error_m

@@ -100,17 +100,18 @@ def propagate_axes(params, adaptive, to_ns):
 
     Returns
     -------
-    float64  where the observed axis would be, did the controller latch the other setpoints [m]
+    float64, float64  position and velocity of the observed axis, did the controller latch the other setpoints
+        [m, m/s]
     """
     plant, z, v = adaptive.plant, adaptive.plant.position_m, adaptive.plant.velocity_mps
     others = own_setpoints.other_setpoints(adaptive.own)
-    other_m, _ = follow_setpoints(params, plant, others, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
+    other = follow_setpoints(params, plant, others, plant.tau_s, plant.axis_m, plant.axis_mps, to_ns)
     setpoints = own_setpoints.latched_setpoints(adaptive.own)
     for k in range(N_PLANTS):
         z[k], v[k] = follow_setpoints(params, plant, setpoints, time_constant_s(plant, k), z[k], v[k], to_ns)
     plant.axis_m, plant.axis_mps = predict_axis(params, adaptive, to_ns)
     plant.t_ns = to_ns
-    return other_m
+    return other
 
 
 @jit
@@ -168,14 +169,14 @@ def update_plant(params, adaptive, sense, inputs):
     if inputs.n_ranges <= 0:  # otherwise the caller latches each answer himself
         own_setpoints.record_report(adaptive.own, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS)
     slow = axis_model.is_long((t - plant.t_ns) * 1e-9, plant.tau_configured_s)
-    other_m, axis_z_m = propagate_axes(params, adaptive, t), z - plant.offset_m
+    other_m, other_mps = propagate_axes(params, adaptive, t)
     # steps without a reading say which answers are latched
     if inputs.n_ranges <= 0 or adaptive.clock.now_ns - adaptive.controller.asked_ns >= LONG_GAP_NS:
-        error_m, other_error_m = abs(axis_z_m - plant.axis_m), abs(axis_z_m - other_m)
-        if own_setpoints.compare_series(adaptive.own, error_m, other_error_m):
+        error_m, other_error_m = z - plant.offset_m - plant.axis_m, z - plant.offset_m - other_m
+        if own_setpoints.compare_series(adaptive.own, abs(error_m), abs(other_error_m)):
+            plant.axis_m, plant.axis_mps = other_m, other_mps
+            plant.position_m[:], plant.velocity_mps[:] = other_m, other_mps
             plant.tau_s, plant.error_m2[:], plant.disturbance_mps = plant.tau_configured_s, 0.0, 0.0
-            reset_axes(adaptive, t, z)
-            return
     least = math.inf
     for k in range(N_PLANTS):
         least = min(least, abs(plant.position_m[k] - z))

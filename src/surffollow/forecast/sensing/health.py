@@ -148,6 +148,7 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
     silent_bits = silent << layout.REASON_CHANNELS
     begun_anew = health.faults & layout.FAULT_NOT_FINITE != 0 and samples < quantities.USUAL_SAMPLES
     outside = samples > 0 and dropout and is_outside(params, adaptive)
+    single = adaptive.hold.t_ns != 0 and adaptive.hold.interval_s == 0.0
     failed = adaptive.rotation.phase == ROTATION_FAILED
     tested = moves_tool(adaptive.response) or moves_to_check(adaptive.frame)
     for holds, state, reason in (  # the gravest first
@@ -156,6 +157,7 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
         (begun_anew, layout.FAULT, layout.REASON_NOT_FINITE),
         (stuck and not dropout, layout.STUCK, layout.REASON_STUCK),
         (outside, layout.OUT_OF_RANGE, layout.REASON_OUTSIDE | silent_bits),
+        (dropout and single, layout.DROPOUT, layout.REASON_SINGLE),
         (samples == 0 or dropout, layout.DROPOUT, layout.REASON_NO_READING | silent_bits),
         (lost, layout.DROPOUT, layout.REASON_LOST | silent_bits),
         (adaptive.hold.shift_ns > 0, layout.SUSPECT, layout.REASON_TIMESTAMPS),
@@ -197,8 +199,11 @@ def update_health(params, adaptive, sense, close):
     silent = observe_channels(params, health, sense, now_ns)
     left_out, old = beams_left_out(params, adaptive)
     state, reason = present_health(params, adaptive, stuck, lost, silent, left_out, old)
-    if state != health.candidate:
-        health.candidate, health.since_ns = state, now_ns
+    # better states that alternate are an improvement, and worse ones a decline
+    before, published = health.candidate, health.state
+    if (state > published) != (before > published) or (state < published) != (before < published):
+        health.since_ns = now_ns
+    health.candidate = state
     # a worse state is published after a controller period
     wait_ns = int(PERIOD_S * 1e9) if state > health.state else quantities.PAUSE_NS
     # there is no demand, or again one toward the surface: that is published at once
