@@ -20,7 +20,7 @@ def ring(n: int, middle: bool = False, radius_m: float = RADIUS_M) -> list[tuple
     return [(0.0, 0.0, 0.0), *places] if middle else places
 
 
-def follow(places, orientations, ground, seconds, speed_mps, misread=None):
+def follow(places, orientations, ground, seconds, speed_mps, misread=None, reading_ms=4):
     """Distances of the tool from the ground [m] and health every 10 ms; ground h(x)."""
     sensors = [
         {"near_m": 0.02, "far_m": 0.25, "position_m": list(p), "orientation": list(q)}
@@ -32,7 +32,7 @@ def follow(places, orientations, ground, seconds, speed_mps, misread=None):
     for ms in range(round(1e3 * seconds)):
         t_ns, x = 10**9 + ms * MS, speed_mps * ms * 1e-3
         q = times(turned(math.degrees(tilt[1])), turned(0.0, math.degrees(tilt[0])))
-        if ms % 4 == 0:
+        if ms % reading_ms == 0:
             ranges = []
             for place, orientation in zip(places, orientations, strict=True):
                 at, along, r = rotated(q, place), rotated(q, beam_of(orientation)), STANDOFF_M
@@ -71,6 +71,26 @@ def test_a_ring_of_unlike_mounts_follows_a_long_fall(places, orientations):
     print(f"RMS {1e3 * np.std(distances[late]):.2f} mm, greatest {1e3 * distances[late].max():.1f} mm")
     assert distances[late].max() < 1.1 * STANDOFF_M
     assert {s["health"] for s in states[late]} == {"OK"}
+
+
+@pytest.mark.parametrize("step", [-0.3, -0.6])
+@pytest.mark.parametrize("beams", [3, 4])
+def test_a_ring_without_a_middle_beam_does_not_rise_behind_a_step(beams, step):
+    """GIVEN one step down across the path at several angles THEN the tool stays below 1.7 stand-offs.
+
+    It turned toward the edge while samples waited, its beams met other ground, and it rose to 2.4.
+    """
+    speed_mps = 0.03 * STANDOFF_M / TAU_S
+
+    def ground(x: float) -> float:
+        return step * STANDOFF_M if x > 0.05 else 0.0
+
+    for degrees in (5.0, 20.0, 35.0, 50.0):
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        places = [(c * x - s * y, s * x + c * y, 0.0) for x, y, _ in ring(beams, radius_m=0.15 * STANDOFF_M)]
+        distances, _ = follow(places, beams * [UPRIGHT], ground, 4.0, speed_mps, reading_ms=8)
+        print(f"{degrees:.0f} degrees: {distances.min() / STANDOFF_M:.2f} to {distances.max() / STANDOFF_M:.2f}")
+        assert distances.max() < 1.7 * STANDOFF_M
 
 
 def test_one_frozen_beam_of_eight_does_not_lead_the_tool_away():
