@@ -19,6 +19,9 @@ from surffollow.record import changed_replay
 from surffollow.record.changed_params import read_changes
 from surffollow.record.changed_replay import replay_changed
 from surffollow.record.reader import RecordingReader
+from surffollow.record.recorder import Recorder
+from surffollow.record.recording_writer import RecordingWriter
+from surffollow.record.synthetic_log import SyntheticLog
 from surffollow.shm import journal
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import HEALTH_NAMES
@@ -112,6 +115,28 @@ def test_the_values_hold_for_the_whole_run_and_all_figures_are_those_of_its_cycl
     kept = np.searchsorted(recorded["t_ns"], outcomes.recorded["t_ns"])
     assert len(kept) == 600
     assert np.array_equal(outcomes.changed["demand"], changed["demand"][kept])
+
+
+def test_a_run_recorded_from_its_middle_on_begins_with_the_reset_that_a_new_time_constant_needs(
+    tmp_path: Path,
+) -> None:
+    # GIVEN a recording that begins with a follower that has run for a while
+    log, path = SyntheticLog(1 << 16, mode=1), tmp_path / "middle.mcap"
+    log.run(1100)
+    recorder = Recorder(log, RecordingWriter(path, {"name": "synthetic_log"}))
+    for _ in range(8):  # the small log holds no older snapshot than that of cycle 1000
+        log.run(250)
+        recorder.poll()
+    recorder.finish()
+    # WHEN it is replayed with another τ of the same reference scale
+    report, _ = replay_changed(path, {"plant_tau_s": 0.06})
+    # THEN the demands are those behind an SFReset: until then the new τ is not in force
+    changed, recorded = stepped(path, {"plant_tau_s": 0.06}), stepped(path, {})
+    differs = np.any(recorded["demand"] != changed["demand"], axis=1)
+    assert report.segments == 1
+    assert recorded["cycle"][0] >= 1000
+    assert report.differing == differs.sum() > 0
+    assert report.z_max_m == np.abs(recorded["demand"] - changed["demand"])[:, 2].max()
 
 
 def test_recorded_values_give_the_recorded_demands_and_no_reset(make_recording: Callable[..., Path]) -> None:
