@@ -99,6 +99,8 @@ def changed_text(file: str, r: ChangedReplay) -> str:
             f"{'note':<10}{r.otherwise} cycles came out otherwise than recorded with the recorded parameters "
             "(another release?): the comparison is with this release"
         )
+    if r.note:
+        lines.append(f"{'note':<10}as recorded, {r.note}")
     lines += [f"DAMAGED: {text}" for text in r.damage]
     return "\n".join([*lines, f"{'note':<10}{OPEN_LOOP}"])
 

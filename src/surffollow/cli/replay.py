@@ -222,4 +222,6 @@ def report_text(file: str, report: object) -> str:
         lines.append(f"DIFFERENT: {r.gaps} cycle numbers do not follow the ones before")
     if r.identical:
         lines.append(f"identical: every demand and status, and {r.snapshots} snapshots, bit for bit")
+    if r.note:
+        lines.append(f"note: {r.note}")
     return "\n".join(lines)

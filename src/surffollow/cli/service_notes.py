@@ -1,30 +1,38 @@
-"""A note of the service: its simulated sensor sees another ground than the simulated robot moves over."""
+"""Notes of the service about a simulated robot: another ground than its sensor sees, another axis."""
 
 from __future__ import annotations
 
 import click
 
 
-class GroundNote:
-    """Says once on stderr that the service's simulated sensor sees another ground."""
+class ServiceNotes:
+    """Says once on stderr that the service's simulated sensor sees another ground.
+
+    Attributes
+    ----------
+    tau : the note about a learned time constant at an end of its range, at the newest look; "": none
+    """
 
     def __init__(self, name: str) -> None:
-        self._name, self._said = name, False
+        self._name, self._said, self.tau = name, False, ""
 
     def __call__(self) -> None:
         """Look at the notes of the service."""
         from surffollow.client import observe
         from surffollow.errors import FaultError
         from surffollow.hw.simulation.ground_check import OTHER_GROUND
+        from surffollow.service.plant_note import TAU_AT_END
 
-        if self._said:
-            return
         try:
             with observe(self._name) as service:
                 text = str(service.status()["main"].get("text", ""))
         except FaultError:  # it is away; the robot attaches to it again
             return
-        note = next((part for part in text.split("; ") if part.startswith(OTHER_GROUND)), "")
-        if note:
+
+        def beginning_with(begin: str) -> str:
+            return next((part for part in text.split("; ") if part.startswith(begin)), "")
+
+        self.tau, ground = beginning_with(TAU_AT_END), beginning_with(OTHER_GROUND)
+        if ground and not self._said:
             self._said = True
-            click.echo(f"surffollow: {note}", err=True)
+            click.echo(f"surffollow: {ground}", err=True)

@@ -19,6 +19,7 @@ from surffollow.errors import RecordingError
 from surffollow.record.changed_params import ChangedSampler
 from surffollow.record.samples import Run
 from surffollow.record.sampling import FileSamples
+from surffollow.service.plant_note import state_note
 from surffollow.shm.layout_adaptive import HEALTH_NAMES, reason_text
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, VALID
 
@@ -56,7 +57,8 @@ class ChangedReplay:
     Shares are parts of all cycles. `z_…` are differences of the vertical demand in cycles with a valid demand
     in both, None without one. `otherwise` counts the cycles that came out otherwise than recorded with the
     recorded parameters: the demands compared with are those of this release then. Health is compared in the
-    adaptive mode (`health_compared` cycles). `damage`: what is wrong with the file.
+    adaptive mode (`health_compared` cycles). `note`: the configured time constant of the recorded run was far
+    off at the end. `damage`: what is wrong with the file.
     """
 
     parameters: list[ChangedParameter]
@@ -79,6 +81,7 @@ class ChangedReplay:
     health_spans: list[HealthSpan] = field(default_factory=list)
     health_spans_left_out: int = 0
     otherwise: int = 0
+    note: str = ""
     damage: list[str] = field(default_factory=list)
 
 
@@ -179,6 +182,7 @@ class _Comparison:
         r.valid_share_recorded, r.valid_share, r.valid_share_both = (float(v) / n for v in self.valid)
         r.z_rms_m = math.sqrt(self.square_m2 / r.z_compared) if r.z_compared else None
         r.segments, r.otherwise, r.damage = source.segment + 1, source.differing, source.damage
+        r.note = state_note(source.sampler.params, source.sampler.state)
         r.standoff_m = float(source.sampler.params[0]["offset_m"])
         kept = [
             np.concatenate([getattr(k, name) for k in self.kept]) for name in ("t_s", "recorded", "changed")
