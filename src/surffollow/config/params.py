@@ -129,7 +129,8 @@ def check_param(name: str, value: object) -> float:
         unit = "" if spec.unit == "1" else f" {spec.unit}"
         remedy = ""
         if spec.unit in ("m", "s") and number > spec.high and is_bare(value):
-            remedy = f"; a number without a unit is in{unit}: write '{number:g} m{spec.unit}' for m{spec.unit}"
+            small = f"m{spec.unit}"
+            remedy = f"; a number without a unit is in{unit}: write '{number:g} {small}' for {small}"
         raise ConfigError(
             f"parameter {name} is {number:g}{unit}; it must be between {spec.low:g} and "
             f"{spec.high:g}{unit}{remedy}"
