@@ -193,7 +193,14 @@ def test_the_command_says_what_changed_and_that_the_loop_is_open(make_recording,
     ):
         assert part in text, (part, text)
     assert "identical" not in text
-    for part in ("as recorded", "with the change", "open loop", "health, recorded", "VALID, changed"):
+    for part in (
+        "as recorded",
+        "with the change",
+        "open loop",
+        "health, recorded",
+        "VALID, changed",
+        "DROPOUT",
+    ):
         assert part in figure.read_text(), part
     found = json.loads(run(str(path), *words, "--json"))
     report, _ = replay_changed(path, CHANGES)

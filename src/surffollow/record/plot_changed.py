@@ -87,6 +87,11 @@ def _draw_states(ax: Any, outcomes: Outcomes) -> None:
                 bars = [(a, max(b - a, 1e-3)) for a, b in fg.spans(outcomes.t_s, on)]
                 ax.broken_barh(bars, (lane + 2 * k - 0.38, 0.76), color=color, lw=0)
     ax.set_yticks([0, 2, 1, 3], names, fontsize=7)
-    ax.set_ylim(3.5, -0.5)
+    ax.set_ylim(3.5, -1.4)  # room for the legend
+    lanes = [health_lanes(output) for output in (outcomes.recorded, outcomes.changed)]
+    for (name, recorded, color), (_, changed, _) in zip(*lanes):
+        if recorded.any() or changed.any():
+            ax.plot([], [], "s", color=color, label=name)
+    ax.legend(loc="upper right", ncols=6)
     ax.set(xlabel="time [s]")
     ax.set_title("Health and status")
