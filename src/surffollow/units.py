@@ -265,6 +265,30 @@ def numbers_text(*values: float, digits: int = 6) -> str:
     return ", ".join(map(text, values))
 
 
+def length_unit(standoff_m: float) -> tuple[float, str]:
+    """The one unit of all lengths that are shown beside a stand-off: mm below 1 m, else m.
+
+    Parameters
+    ----------
+    standoff_m : float
+        stand-off, or another length that tells the scale [m]
+
+    Returns
+    -------
+    factor : float
+        from m to the unit
+    unit : str
+        its name
+
+    Examples
+    --------
+    >>> from surffollow.units import length_unit
+    >>> length_unit(0.1), length_unit(5.0)
+    ((1000.0, 'mm'), (1.0, 'm'))
+    """
+    return (1e3, "mm") if abs(standoff_m) < 1.0 else (1.0, "m")
+
+
 def is_bare(value: object) -> bool:
     """Whether a quantity, as `parse_quantity` takes it, is a number without a unit.
 

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from surffollow.cli.main import cli
 from surffollow.cli.status import follower_lines
 from surffollow.errors import FaultError
+from surffollow.units import length_unit
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf", "soon"])
@@ -57,8 +58,9 @@ def test_estimates_are_not_shown_before_the_first_pose() -> None:
     names = ("noise_m", "roughness_m", "sigma_m", "latency_s", "permitted_variance_m", "interval_size_m")
     f = {"mode": "adaptive", "health": "DROPOUT", "reason": "no pose", "range_size": 1, "tau_s": 0.0}
     f |= dict.fromkeys(names, 0.0)
-    assert follower_lines(f) == ["follower adaptive, DROPOUT (no pose)"]
-    first, second = follower_lines(f | {"tau_s": 0.04, "sigma_m": 0.002})
+    unit = length_unit(0.1)
+    assert follower_lines(f, unit) == ["follower adaptive, DROPOUT (no pose)"]
+    first, second = follower_lines(f | {"tau_s": 0.04, "sigma_m": 0.002}, unit)
     assert first.endswith("height σ 2 mm")
     assert "axis τ 40 ms" in second
 

@@ -40,6 +40,13 @@ def test_a_parameter_is_taken_with_or_without_its_unit_ending(name, value, numbe
     assert check_param(name, value) == pytest.approx(number, rel=1e-15)
 
 
+def test_a_quantity_with_a_unit_is_refused_without_the_remedy_for_numbers():
+    with pytest.raises(ConfigError) as refused:
+        check_param("plant_tau", "500 s")
+    assert "without a unit" not in str(refused.value)
+    assert check_param("plant_tau", "10.24 s") == 10.24  # the slowest axis of the tests of scales
+
+
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [
@@ -54,6 +61,9 @@ def test_a_parameter_is_taken_with_or_without_its_unit_ending(name, value, numbe
         ("offset", math.nan, ["offset", "finite"]),
         ("offset", math.inf, ["offset", "finite"]),
         ("offset", None, ["offset", "no quantity"]),
+        ("plant_tau", 500, ["500 s", "between 0.0001 and 20 s", "is in s: write '500 ms' for ms"]),
+        ("plant_tau", 25, ["write '25 ms' for ms"]),
+        ("offset", 5000, ["5000 m", "is in m: write '5000 mm' for mm"]),
         ("sensor_readings", 0, ["sensor_readings", "between 1 and 64"]),
         ("sensor_readings", 65, ["sensor_readings", "between 1 and 64"]),
         ("sensor_readings", 2.5, ["sensor_readings", "whole"]),

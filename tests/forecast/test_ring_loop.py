@@ -89,7 +89,8 @@ def test_a_ring_without_a_middle_beam_does_not_rise_behind_a_step(beams, step):
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
         places = [(c * x - s * y, s * x + c * y, 0.0) for x, y, _ in ring(beams, radius_m=0.15 * STANDOFF_M)]
         distances, _ = follow(places, beams * [UPRIGHT], ground, 4.0, speed_mps, reading_ms=8)
-        print(f"{degrees:.0f} degrees: {distances.min() / STANDOFF_M:.2f} to {distances.max() / STANDOFF_M:.2f}")
+        low, high = distances.min() / STANDOFF_M, distances.max() / STANDOFF_M
+        print(f"{degrees:.0f} degrees: {low:.2f} to {high:.2f} stand-offs")
         assert distances.max() < 1.7 * STANDOFF_M
 
 

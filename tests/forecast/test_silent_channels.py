@@ -12,6 +12,7 @@ from surffollow.client.follower_report import follower_report
 from surffollow.shm.conversion import FLAG_INVALID
 from surffollow.shm.layout_adaptive import REASON_CHANNELS, REASON_NAMES, REASON_SILENT, reason_text
 from surffollow.shm.layout_follow import MODE_ADAPTIVE, Output
+from surffollow.units import length_unit
 
 MS = 1_000_000
 RING = [(0.0, 0.0), (0.03, 0.0), (-0.015, 0.026), (-0.015, -0.026)]
@@ -113,7 +114,7 @@ def test_the_status_command_names_them_too():
     output = {name: f._output[name][0].tolist() for name in (field.name for field in Output.FIELDS)}
     report = follower_report(output, MODE_ADAPTIVE)
     assert report["reason"] == f"{SILENT} (channels 1, 3)"
-    assert f"SUSPECT ({SILENT} (channels 1, 3))" in follower_lines(report)[0]
+    assert f"SUSPECT ({SILENT} (channels 1, 3))" in follower_lines(report, length_unit(0.1))[0]
 
 
 def test_conversions_that_the_driver_calls_invalid_are_no_reading():

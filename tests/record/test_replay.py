@@ -286,3 +286,21 @@ def test_a_recording_of_another_layout_is_refused_with_the_version_that_can_read
     monkeypatch.setattr(reader, "layout_hashes", lambda: {"Params": "0"})
     with pytest.raises(RecordingError, match="another layout of Params"):
         replay_file(path)
+
+
+def test_a_time_constant_at_the_end_of_its_range_is_noted(tmp_path: Path) -> None:
+    # GIVEN two recordings of followers; one has learned that its axis is much slower than configured
+    for learned, is_noted in ((1.0, False), (3.3, True)):
+        before, log, path = SyntheticLog(mode=1), SyntheticLog(mode=1), tmp_path / f"{is_noted}.mcap"
+        before.run(1000)
+        log.state[:], log.plan[0] = before.state, 1000
+        log.state[0]["adaptive"]["plant"]["tau_s"] *= learned
+        recorder = Recorder(log, RecordingWriter(path))
+        log.run(300)
+        recorder.poll()
+        recorder.finish()
+        # WHEN they are replayed THEN the report and its text say so of the second
+        report = replay_file(path)
+        assert report.identical
+        assert ("is at an end of what is learned" in report.note) == is_noted
+        assert ("note: the learned time constant of the axis, 132 ms" in report_text("x", report)) == is_noted

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -44,6 +45,21 @@ def test_start_prints_ready_with_the_pid_and_status_knows_it(service: Service) -
     text = service.run("status").stdout
     assert f"service {service.name}: ready, pid {service.pid}" in text
     assert "standoff 100 mm" in text
+
+
+def test_the_status_of_a_drone_is_in_metres(make_service: Make) -> None:
+    # GIVEN a service that keeps 5 m, with a pose and a map
+    window = 'range_min_m = "20 cm"\nrange_max_m = "50 m"'
+    service = make_service(kind="external", driver=window, follow='offset = "5 m"').start()
+    with service.attach() as client:
+        client.map_reset((0.0, 0.0, 100.0, 100.0))
+        drive(client, lambda: client.status()["follower"].get("tau_s", 0.0) > 0.0, what="an estimate")
+        text = service.run("status").stdout
+    # THEN its lengths have the unit of the stand-off
+    assert "standoff 5 m\n" in text
+    assert re.search(r"grids of [0-9.]+ m;", text), text
+    assert re.search(r"noise [0-9.e-]+ m, roughness [0-9.e-]+ m, height σ [0-9.e-]+ m\n", text), text
+    assert " mm" not in text
 
 
 def test_status_tells_that_there_is_no_map_and_a_command_lays_one(service: Service) -> None:

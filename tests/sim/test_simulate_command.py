@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from running_service import WAIT_S, Service, until
-from surffollow.cli.simulate import simulate_command
+from surffollow.cli.simulate import _print_result, simulate_command
 from surffollow.errors import ConfigError, NotRunningError
 from surffollow.sim.robot_motion import TRACE_COLUMNS
 from surffollow.sim.world import WorldReader
@@ -58,6 +58,31 @@ def robot_time_ns(process: subprocess.Popen[str]) -> int:
         return 0 if record is None else int(record[0]["t_ns"])
     finally:
         reader.close()
+
+
+def test_the_summary_ends_with_its_notes(capsys: pytest.CaptureFixture[str]) -> None:
+    summary = {
+        "standoff_m": 0.1,
+        "standoff_rms_m": 0.001,
+        "not_scored": None,
+        "note": "the learned time constant",
+    }
+    _print_result(summary, False, None)
+    assert capsys.readouterr().out.endswith("1.000 mm\nnote: the learned time constant\n")
+    _print_result(summary | {"note": None}, False, None)
+    assert "note" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("standoff_m", "lines"),
+    [(0.1, ["100.000 mm", "26.000 mm", "-"]), (5.0, ["5.0000 m", "0.0260 m", "-"])],
+)
+def test_the_lengths_of_a_summary_have_the_unit_of_the_stand_off(
+    standoff_m: float, lines: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary = {"standoff_m": standoff_m, "standoff_rms_m": 0.026, "standoff_peak_m": None}
+    _print_result(summary | {"not_scored": None, "note": None}, False, None)
+    assert [line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines()] == lines
 
 
 def test_robot_prints_one_json_object_and_writes_its_trace(tmp_path: Path) -> None:
@@ -120,7 +145,7 @@ def test_a_robot_that_never_set_out_says_why_and_prints_no_none(monkeypatch: pyt
     out, _ = command("--seconds", "2", "--wait", "0.3").communicate()
     assert "the tool never set out along its path, because there was no valid demand: none published" in out
     assert "--seconds" not in out
-    lines = dict(line.split() for line in out.splitlines() if not line.startswith("note"))
+    lines = dict(line.split(maxsplit=1) for line in out.splitlines() if not line.startswith("note"))
     assert lines["standoff_rms"] == lines["standoff_peak_rolling"] == "-"
 
 

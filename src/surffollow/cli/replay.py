@@ -34,6 +34,13 @@ from surffollow.cli.progress import shows_compiling
     "--live", is_flag=True, help="Play the recording into a service started for it, at its own pace."
 )
 @click.option("--name", type=SERVICE_NAME, help="Name of that service.  [default: replay-PID]")
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Another value of a parameter for the whole run, such as plant_tau='50 ms'; may be repeated.",
+)
 @shows_compiling
 def replay_command(
     file: str,
@@ -47,12 +54,17 @@ def replay_command(
     map_out: str | None,
     live: bool,
     name: str | None,
+    changes: tuple[str, ...],
 ) -> None:
     """Run a recording through the same kernels again and compare every bit.
 
     Exit code 1 when anything differs, or when the recording or a file written of it is not whole.
     A CSV log with --columns is followed as it stands; the ranges forecast ahead are compared with those
     that came.
+
+    With --set the kernels get other parameters, and the demands are compared with the recorded ones. The
+    poses stay those of a tool that followed the recorded demands: an open-loop comparison. `benchmark`
+    compares settings in a closed loop. Differences are no fault then.
     """
     from surffollow.errors import UsageError
 
@@ -72,7 +84,13 @@ def replay_command(
         from surffollow.map.files import check_suffix
 
         check_suffix(map_out)
-    if columns is not None or file.lower().endswith(".csv"):
+    is_csv = columns is not None or file.lower().endswith(".csv")
+    if changes:
+        from surffollow.cli.changed_replay import replay_changed_command
+
+        others = {"--start": start, "--end": end, "--mode": mode, "--map": map_out, "--live": live or None}
+        replay_changed_command(file, changes, is_csv, others, out, plot, as_json)
+    elif is_csv:
         if live:
             raise UsageError("--live is for recordings (.mcap), not CSV logs")
         if suffix == ".parquet":
@@ -204,4 +222,6 @@ def report_text(file: str, report: object) -> str:
         lines.append(f"DIFFERENT: {r.gaps} cycle numbers do not follow the ones before")
     if r.identical:
         lines.append(f"identical: every demand and status, and {r.snapshots} snapshots, bit for bit")
+    if r.note:
+        lines.append(f"note: {r.note}")
     return "\n".join(lines)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surffollow.cli.ground_note import GroundNote
 from surffollow.cli.main import one_object_is_printed
 from surffollow.cli.option_types import SERVICE_NAME, Finite, InputFile, OutputFile
 from surffollow.cli.progress import shows_compiling
+from surffollow.cli.service_notes import ServiceNotes
 
 if TYPE_CHECKING:
     from surffollow.errors import ServiceError
@@ -194,18 +194,23 @@ def _print_result(summary: dict[str, Any], as_json: bool, error: ServiceError | 
 
         click.echo(json.dumps(summary | ({} if error is None else {"error": str(error)})))
         return
+    from surffollow.units import length_unit
+
+    factor, length = length_unit(summary["standoff_m"])
+    units = (("_m", length, factor, 3 if length == "mm" else 4), ("_rad", "deg", math.degrees(1.0), 3))
     for key, value in summary.items():
-        if key == "not_scored":
+        if key in ("not_scored", "note"):
             continue
-        for ending, unit, scale in (("_m", "mm", 1e3), ("_rad", "deg", math.degrees(1.0))):
+        for ending, unit, scale, digits in units:
             if key.endswith(ending) and key != "path_m":
-                number = f"{'-':>10}" if value is None else f"{value * scale:10.3f} {unit}"
+                number = f"{'-':>10}" if value is None else f"{value * scale:10.{digits}f} {unit}"
                 click.echo(f"{key.removesuffix(ending):24} {number}")
                 break
         else:  # no error
             click.echo(f"{key:24} {value if not isinstance(value, float) else round(value, 3)!s:>10}")
-    if summary["not_scored"]:
-        click.echo(f"note: {summary['not_scored']}")
+    for key in ("not_scored", "note"):
+        if summary[key]:
+            click.echo(f"note: {summary[key]}")
 
 
 class _StopSignals:
@@ -266,15 +271,17 @@ def _run(
 
     if trace:
         check_place(trace)
+    notes = ServiceNotes(name)
     try:
         with hardware_priority(), _StopSignals() as stopped:
             core, summary = run_robot(
-                config, name, attachment, stopped, wait_s, standstill, own_standoff, GroundNote(name)
+                config, name, attachment, stopped, wait_s, standstill, own_standoff, notes
             )
     except RefusedError as refused:
         if own_standoff or "offset_m" not in str(refused):
             raise
         raise RefusedError(f"--standoff {config.standoff_m:g} m: {refused}", refused.code) from None
+    summary = {"standoff_m": core.config.standoff_m} | summary | {"note": notes.tau or None}
     if trace:
         import numpy as np
 

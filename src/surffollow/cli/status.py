@@ -127,28 +127,40 @@ def durations(summary: dict[str, float]) -> str:
     return ", ".join(f"{k} {format_ns(summary[k + '_ns'])}" for k in ("p50", "p99", "max"))
 
 
-def follower_lines(f: dict[str, Any]) -> list[str]:
-    """Estimates of the follower, as text."""
+def follower_lines(f: dict[str, Any], unit: tuple[float, str]) -> list[str]:
+    """Estimates of the follower, as text; lengths in a unit (`length_unit`)."""
     if "health" not in f:
         return [f"follower {f['mode']}"]
 
-    def mm(name: str) -> str:
-        return "-" if f[name] is None else f"{1e3 * f[name]:.3g} mm"
+    def length(name: str) -> str:
+        return "-" if f[name] is None else length_text(f[name], unit)
 
     why = f" ({f['reason']})" if f.get("reason") else ""
     if f["tau_s"] == 0.0:  # the follower had no pose yet: nothing is estimated
         return [f"follower {f['mode']}, {f['health']}{why}"]
     return [
-        f"follower {f['mode']}, {f['health']}{why}; noise {mm('noise_m')}, "
-        f"roughness {mm('roughness_m')}, height σ {mm('sigma_m')}",
+        f"follower {f['mode']}, {f['health']}{why}; noise {length('noise_m')}, "
+        f"roughness {length('roughness_m')}, height σ {length('sigma_m')}",
         f"         latency {1e3 * f['latency_s']:.1f} ms, axis τ {1e3 * f['tau_s']:.0f} ms, "
-        f"Permitted_Variance {mm('permitted_variance_m')}, "
-        f"Range_Size {f['range_size']} × {mm('interval_size_m')}",
+        f"Permitted_Variance {length('permitted_variance_m')}, "
+        f"Range_Size {f['range_size']} × {length('interval_size_m')}",
     ]
 
 
-def map_text(name: str, m: dict[str, Any]) -> str:
-    """State and counters of the map as text; with the remedy where there is no map."""
+def length_text(length_m: float, unit: tuple[float, str], digits: int = 3) -> str:
+    """A length [m] in a unit of `length_unit`."""
+    return f"{unit[0] * length_m:.{digits}g} {unit[1]}"
+
+
+def map_text(name: str, m: dict[str, Any], unit: tuple[float, str]) -> str:
+    """State and counters of the map as text; with the remedy where there is no map.
+
+    Parameters
+    ----------
+    name : of the service
+    m : `status()["map"]`
+    unit : of lengths (`length_unit`)
+    """
     queue = f"{m.get('queued', 0)} waiting, {m.get('lost', 0)} lost"
     if m.get("state") == "no_map":
         return (
@@ -158,7 +170,7 @@ def map_text(name: str, m: dict[str, Any]) -> str:
     if "state" not in m:
         return f"cannot be read; {queue}"
     return (
-        f"{m['state']}, {m['nx']} × {m['ny']} grids of {1e3 * m['grid_m']:.3g} mm; "
+        f"{m['state']}, {m['nx']} × {m['ny']} grids of {length_text(m['grid_m'], unit)}; "
         f"{m['taken']} samples taken, {m['outside']} outside, {queue}"
     )
 
@@ -166,12 +178,14 @@ def map_text(name: str, m: dict[str, Any]) -> str:
 def render(s: dict[str, Any]) -> str:
     """The status as a few lines of text."""
     from surffollow.shm.bit_names import GRANT_NAMES
-    from surffollow.units import format_ns
+    from surffollow.units import format_ns, length_unit
 
+    # without parameters in force the scale is not known
+    unit = length_unit(s["params"]["offset_m"] if "params" in s else 0.0)
     late, run, main = s["lateness"], s["execution"], s["main"]
     granted = [n for i, n in enumerate(GRANT_NAMES) if main.get("granted", 0) >> i & 1]
     pose = f"pid {main['pose_pid']}" if main.get("pose_slot", -1) >= 0 else "no client"
-    map_line = f"map      {map_text(s['name'], s['map'])}"
+    map_line = f"map      {map_text(s['name'], s['map'], unit)}"
     lines = [
         f"service {s['name']}: {s['state']}, pid {s['pid']}, epoch {s['epoch']}",
         f"cycle    {format_ns(s['period_ns'])}, {s['cycles']} run, {s['overruns']} overruns",
@@ -203,8 +217,8 @@ def render(s: dict[str, Any]) -> str:
     if clipped:
         lines.insert(lines.index(map_line) + 1, f"         {clipped}")
     if "params" in s:
-        lines.insert(5, f"standoff {1e3 * s['params']['offset_m']:.6g} mm")
-    lines[5:5] = follower_lines(s["follower"])
+        lines.insert(5, f"standoff {length_text(s['params']['offset_m'], unit, 6)}")
+    lines[5:5] = follower_lines(s["follower"], unit)
     if s["stopped"]:
         causes = ", ".join(s["stopped"])
         lines.append(f"STOPPED  {causes}; the pose's holder resets it (reset_stop(), in C sf_stop_reset)")

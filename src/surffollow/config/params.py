@@ -46,7 +46,8 @@ PARAMS: dict[str, ParamSpec] = {
     "range_min_m": ParamSpec(2.0 * INCH_M, 0.0, 1e6, "m"),
     "range_max_m": ParamSpec(6.0 * INCH_M, 1e-6, 1e6, "m"),
     "sensor_latency_ns": ParamSpec(30e6, 0, 10e9, "ns", whole=True),
-    "plant_tau_s": ParamSpec(0.04, 1e-4, 1e3, "s"),
+    # up to twice that of the slowest axis of the tests: the time-outs that follow from it have bounds, too
+    "plant_tau_s": ParamSpec(0.04, 1e-4, 20.0, "s"),
     "plant_v_max_mps": ParamSpec(0.2, 1e-6, 1e3, "m/s"),
     "plant_a_max_mps2": ParamSpec(2.0, 1e-8, 1e6, "m/s^2"),
     "score_travel_m": ParamSpec(0.25, 1e-6, 1e4, "m"),
@@ -126,8 +127,13 @@ def check_param(name: str, value: object) -> float:
         number = float(round(number))  # "0.5 s" in ns is whole but for its last bit
     if not spec.low <= number <= spec.high:
         unit = "" if spec.unit == "1" else f" {spec.unit}"
+        remedy = ""
+        if spec.unit in ("m", "s") and number > spec.high and is_bare(value):
+            small = f"m{spec.unit}"
+            remedy = f"; a number without a unit is in{unit}: write '{number:g} {small}' for {small}"
         raise ConfigError(
-            f"parameter {name} is {number:g}{unit}; it must be between {spec.low:g} and {spec.high:g}{unit}"
+            f"parameter {name} is {number:g}{unit}; it must be between {spec.low:g} and "
+            f"{spec.high:g}{unit}{remedy}"
         )
     return number
 

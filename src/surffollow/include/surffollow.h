@@ -327,7 +327,7 @@ static inline const sf_param_info *sf_param_table(void) {
     {"range_min_m", 14, 0, 0.0, 1000000.0},
     {"range_max_m", 15, 0, 1e-06, 1000000.0},
     {"sensor_latency_ns", 17, 1, 0.0, 10000000000.0},
-    {"plant_tau_s", 90, 0, 0.0001, 1000.0},
+    {"plant_tau_s", 90, 0, 0.0001, 20.0},
     {"plant_v_max_mps", 91, 0, 1e-06, 1000.0},
     {"plant_a_max_mps2", 92, 0, 1e-08, 1000000.0},
     {"score_travel_m", 93, 0, 1e-06, 10000.0},

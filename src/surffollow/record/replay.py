@@ -27,6 +27,7 @@ from surffollow.record.log_kernels import (
 )
 from surffollow.record.mcap_reader import Damage
 from surffollow.record.reader import Batch, RecordingReader, missing_words
+from surffollow.service.plant_note import state_note
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.journal import CYCLE_HEAD
 from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
@@ -64,7 +65,8 @@ class ReplayReport:
 
     `cycles_not_replayed` counts cycles of damaged or missing parts of this file, and those behind them up
     to the next snapshot, which `left_out` names; cycles behind the last whole chunk are not known.
-    `lost_cycles` is the recorder's own count of cycles that it did not get into the file.
+    `lost_cycles` is the recorder's own count of cycles that it did not get into the file. `note`: the
+    configured time constant of the axis was far off at the end.
     """
 
     identical: bool = False
@@ -91,6 +93,7 @@ class ReplayReport:
     cycles_per_s: float = 0.0
     recorded_by: str = ""
     machine: str = ""
+    note: str = ""
 
 
 class _Segments:
@@ -248,5 +251,6 @@ def _conclude(report: ReplayReport, segments: _Segments, reader: RecordingReader
     report.recorded_by = str(reader.layout.get("surffollow", ""))
     report.machine = str(reader.layout.get("machine", ""))
     report.cycles_per_s = report.cycles / report.seconds if report.seconds > 0 else 0.0
+    report.note = state_note(segments.params, segments.state)
     same = report.differing == 0 and report.states_differing == 0 and report.gaps == 0
     report.identical = same and report.complete and report.cycles > 0

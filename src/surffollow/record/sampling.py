@@ -26,6 +26,7 @@ class FileSamples:
     paths : recordings
     period_ns : between samples; 0: every cycle
     progress : gets the finished fraction 0 … 1
+    sampler : steps over the words; None: one with the recorded parameters
 
     Attributes
     ----------
@@ -41,9 +42,10 @@ class FileSamples:
         paths: Sequence[str | Path],
         period_ns: int,
         progress: Callable[[float], object] | None = None,
+        sampler: Sampler | None = None,
     ) -> None:
         self.paths = [Path(p) for p in paths]
-        self.sampler = Sampler(period_ns)
+        self.sampler = Sampler(period_ns) if sampler is None else sampler
         self.segment, self.wall_offset_ns, self.cycles = -1, 0, 0
         self.damage: list[str] = []
         self._key: tuple[int, int, int] = (-1, -1, -1)

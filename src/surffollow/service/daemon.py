@@ -39,6 +39,7 @@ from surffollow.service.mapper_memory import make_map_memory
 from surffollow.service.messages import STDOUT, Messages
 from surffollow.service.mount_notes import MountWatch
 from surffollow.service.notify import CompileProgress, sd_notify
+from surffollow.service.plant_note import PlantWatch
 from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.service.slot_server import SlotServer
 from surffollow.service.worker_threads import WorkerThreads
@@ -99,6 +100,7 @@ class Daemon:
                 self._slots,
                 self.messages,
                 self._mounts,
+                PlantWatch(self.mem.params, self.mem.state),
             )
             self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         except BaseException:

@@ -15,6 +15,7 @@ from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.housekeeping import Guard
 from surffollow.service.messages import Messages
 from surffollow.service.mount_notes import MountWatch
+from surffollow.service.plant_note import PlantWatch
 from surffollow.service.realtime import Grants
 from surffollow.service.shared_objects import SharedObjects
 from surffollow.service.slot_server import SlotServer
@@ -43,6 +44,7 @@ class Heartbeat:
     server : SlotServer      who holds which slot
     messages : Messages      lines of text
     mounts : MountWatch      knows whether the mounts give a surface normal, and a beam is down
+    plant : PlantWatch       knows whether the configured time constant is far off
 
     Attributes
     ----------
@@ -58,9 +60,10 @@ class Heartbeat:
         server: SlotServer,
         messages: Messages,
         mounts: MountWatch,
+        plant: PlantWatch,
     ) -> None:
         self._objects, self._ctx, self._watch, self._grants = objects, ctx, watch, grants
-        self._mounts = mounts
+        self._mounts, self._plant = mounts, plant
         self._server, self._messages, self.guard = server, messages, Guard(messages.report)
         self._audit = AuditTrail(objects, ctx, server.table.named, messages.report)
         self._driver_log = DriverLog(messages.report)
@@ -99,7 +102,7 @@ class Heartbeat:
         self.guard.run("the audit trail", self._audit.publish, None)
         notes = [*self._watch.notes(), *conversion_notes(self._ctx), *window_notes(self._ctx)]
         notes += self._mounts.notes()
-        notes += self._notes_of_beam(pose_slot)
+        notes += [*self._notes_of_beam(pose_slot), *self._plant.notes()]
         texts = [*driver_faults, *notes, *self._grants.refused, *self.guard.texts()]
         if self._server.failures:
             faults |= FAULT_SLOTS
