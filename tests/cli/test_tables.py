@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from surffollow.errors import ScanFileError, SurffollowError, UsageError
-from surffollow.record.csv_log import read_numbers
+from surffollow.record.csv_cells import read_numbers
 from surffollow.scan.spot_files import read_spots
 from surffollow.sim.path_table import read_path_table
 

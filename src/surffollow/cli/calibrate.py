@@ -90,7 +90,7 @@ def range_command(
     from surffollow.cli.range_pairs import draw_fit, typed_pairs, unit_notes
     from surffollow.config.input_file import contents_are_read
     from surffollow.hw.calibration import merged, save_calibration
-    from surffollow.record.csv_log import read_numbers
+    from surffollow.record.csv_cells import read_numbers
     from surffollow.record.figure import check_figure
     from surffollow.units import unit_scale
 
@@ -162,7 +162,7 @@ def latency_command(move: Path | None, name: str | None, out: Path, as_json: boo
         raise click.UsageError("give either MOVE or --name")
     if move is not None:
         from surffollow.apps.fit_latency import fit_latency
-        from surffollow.record.csv_log import read_numbers
+        from surffollow.record.csv_cells import read_numbers
 
         t_s, z_m, range_m = read_numbers(move, ("t_s", "z_m", "range_m"))
         with contents_are_read():
@@ -203,7 +203,7 @@ def mount_command(moves: Path, channel: int, out: Path, as_json: bool) -> None:
     from surffollow.config.input_file import contents_are_read
     from surffollow.hw.calibration import merged, save_calibration
     from surffollow.hw.driver import IDENTITY
-    from surffollow.record.csv_log import read_numbers
+    from surffollow.record.csv_cells import read_numbers
 
     there = calibration_there(out, moves)
     *poses, range_m = read_numbers(moves, ("x", "y", "z", "qx", "qy", "qz", "qw", "range_m"))

@@ -1,0 +1,165 @@
+"""Cells of a CSV file as numbers: separators, decimal signs, column names, errors that name a place."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surffollow.config.input_file import contents_are_read, read_input
+from surffollow.errors import InputFileError, UsageError, escaped
+from surffollow.record.mcap_reader import MAGIC
+from surffollow.units import decimal_number
+
+_DATE_OR_TIME = re.compile(r"\d{1,4}([-:/])\d{1,2}\1\d")
+SHOWN = 200  # characters of a file in a message
+LAST_HEADER_LINE = 100  # so far the line of column names is looked for, for a message
+
+
+@contents_are_read()
+def read_numbers(path: str | Path, names: Sequence[str]) -> list[NDArray[np.float64]]:
+    """Read columns of a CSV file as they are, in the order of `names`; NaN for an empty cell.
+
+    Separators and decimal signs are those of `read_csv`.
+
+    Raises
+    ------
+    InputFileError, UsageError  as `read_csv`
+    """
+    remedy = f"expected: {', '.join(names)}"
+    cells, _, _ = read_cells(path, dict.fromkeys(names, True), names[0], remedy)
+    return [cells[name] for name in names]
+
+
+def read_cells(
+    path: str | Path, names: dict[str, bool], verbatim: str, remedy: str
+) -> tuple[dict[str, NDArray[np.float64]], list[str], list[int]]:
+    """The columns as numbers, one of them as it is written, and the line of each row.
+
+    `names`: the columns → whether a cell may be empty. `remedy`: what the error of a missing column says.
+    """
+    text = _text(path)
+    separator = _separator(text, names)
+    rows = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    signs: set[str] = set()
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        places = {}
+        if not set(names) <= set(header):
+            raise _missing(str(path), header, names, rows, remedy)
+        for name in names:
+            if header.count(name) > 1:
+                raise UsageError(f"{path}: column {name!r} occurs more than once; rename the others")
+            places[name] = header.index(name)
+        values: dict[str, list[float]] = {name: [] for name in names}
+        written: list[str] = []
+        lines: list[int] = []
+        for row in rows:
+            if not any(cell.strip() for cell in row):
+                continue
+            if any(cell.strip() for cell in row[len(header) :]):
+                raise UsageError(
+                    f"{path}, line {rows.line_num}: {len(row)} values for {len(header)} columns; "
+                    "correct or remove the row"
+                )
+            lines.append(rows.line_num)
+            for name, optional in names.items():
+                cell = row[places[name]].strip() if places[name] < len(row) else ""
+                if separator != ",":
+                    cell = _with_point(cell, signs, f"{path}, line {rows.line_num}, column {name!r}")
+                values[name].append(_number(cell, optional, f"{path}, line {rows.line_num}, column {name!r}"))
+                if name == verbatim:
+                    written.append(cell)
+    except csv.Error as e:
+        raise UsageError(f"{path}, line {rows.line_num}: {e}") from None
+    if not lines:
+        raise UsageError(f"log {path} has a line of column names and no row; expected rows of numbers")
+    return {name: np.array(v, np.float64) for name, v in values.items()}, written, lines
+
+
+def _text(path: str | Path) -> str:
+    """Content of a log."""
+    try:
+        content = read_input(path, device=False)
+    except OSError as e:
+        raise InputFileError(f"cannot read log {path}: {e.strerror}") from None
+    if content.startswith(MAGIC):
+        raise UsageError(f"log {path} is a recording; a recording must have a name ending in .mcap")
+    if not content.strip():
+        raise UsageError(f"log {path} is empty; expected a line of column names, then rows of numbers")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise UsageError(f"log {path} is no text in UTF-8; save it as UTF-8") from None
+    if "\0" in text:
+        where = text.count("\n", 0, text.index("\0")) + 1
+        raise UsageError(
+            f"log {path} has zero bytes from line {where} on: a crash cut or padded it, or it is UTF-16; "
+            "remove them with the row that they cut, or save it as UTF-8"
+        )
+    return text
+
+
+def _shown(text: str) -> str:
+    """Text of a file for a message, not longer than a line; no character of it controls a terminal."""
+    text = escaped(text)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
+
+
+def _missing(
+    path: str, header: list[str], names: Iterable[str], rows: Iterable[list[str]], remedy: str
+) -> UsageError:
+    """The error of a log whose first line lacks a column, with the cause where it can be seen."""
+    missing = next(name for name in names if name not in header)
+    for number, row in zip(range(2, LAST_HEADER_LINE + 1), rows):
+        if set(names) <= {cell.strip() for cell in row}:
+            return UsageError(f"{path}: the column names are in line {number}; remove the lines above it")
+    if len(header) == 1 and len(header[0].split()) > 1:
+        remedy = f"separate columns by commas, semicolons or tabs, not by spaces, or {remedy}"
+    return UsageError(f"{path} has no column {missing!r}; it has {_shown(', '.join(header))}; {remedy}")
+
+
+def _separator(text: str, names: Iterable[str]) -> str:
+    """The character between the columns: a comma, else a semicolon or a tab where the names need it."""
+    for separator in (",", ";", "\t"):
+        with contextlib.suppress(csv.Error):
+            header = next(csv.reader(io.StringIO(text, newline=""), delimiter=separator), [])
+            if set(names) <= {name.strip() for name in header}:
+                return separator
+    return ","
+
+
+def _with_point(cell: str, signs: set[str], where: str) -> str:
+    """A number with a decimal point, also where commas are none between columns.
+
+    `signs` : decimal signs of the log so far, updated
+    """
+    signs |= {sign for sign in ",." if sign in cell}
+    if len(signs) > 1:
+        raise UsageError(
+            f"{where}: {_shown(cell)!r}: the log has numbers with a comma and numbers with a point; save it "
+            "with one decimal sign and nothing between thousands"
+        )
+    return cell.replace(",", ".")
+
+
+def _number(cell: str, optional: bool, where: str) -> float:
+    if optional and cell.lower() in ("", "nan"):
+        return math.nan
+    try:
+        value = decimal_number(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) and not (optional and value == math.inf):
+        remedy = "correct or remove the row"
+        if _DATE_OR_TIME.match(cell):
+            remedy = "write dates and times of day as numbers, such as seconds since the first row"
+        raise UsageError(f"{where}: {_shown(cell)!r} is not a finite number; {remedy}")
+    return value
