@@ -76,8 +76,9 @@ def test_the_note_stands_where_the_axis_is_far_from_its_configuration(
 def test_the_ends_are_those_of_the_axis_models() -> None:
     plant = SimpleNamespace(tau_configured_s=0.04)
     low_s, high_s = (time_constant_s.py_func(plant, k) for k in (0, N_PLANTS - 1))
-    for end_s, inwards in ((low_s, 1.06), (high_s, 0.94)):
+    for end_s, inwards in ((low_s, 1.16), (high_s, 0.84)):
         assert tau_note(end_s, 0.04)
+        assert tau_note(end_s * (0.87 if end_s > 0.04 else 1.14), 0.04)
         assert not tau_note(end_s * inwards, 0.04)
     assert tau_note(0.0, 0.04) == tau_note(0.0, 0.0) == ""
 

@@ -11,7 +11,7 @@ from surffollow.shm.python_atomics import load_acquire
 from surffollow.units import format_ns
 
 REACH = TAU_RATIO ** (N_PLANTS // 2)  # of τ from the configured value, up and down
-NEAR_END = 0.05  # of the value at the end
+NEAR_END = 0.15  # of the value at the end: waves make a τ beyond it look somewhat less extreme
 TAU_AT_END = "the learned time constant of the axis"
 
 
