@@ -68,7 +68,7 @@ def test_a_robot_may_take_each_demand_between_slow_reports(period, slope):
     job = replace(ARM, pose_s=period * TAU_S, reading_s=0.02)
     for seed in range(3):
         drive = (job, lambda x, t: slope * x, 160 * TAU_S)
-        ours = follow(*drive, seed=seed, place_m=place_m, takes_each=True)
+        ours = follow(*drive, seed=seed, place_m=place_m, takes_each_s=math.inf)
         plain = follow(*drive, seed=seed, place_m=place_m, plain=True)
         share, tau_s = ours.rms_m(job) / plain.rms_m(job), ours.states[-1]["tau_s"]
         print(f"{period} τ, slope {slope}, seed {seed}: {share:.2f} of a P loop, τ {tau_s / TAU_S:.2f}")
@@ -76,6 +76,40 @@ def test_a_robot_may_take_each_demand_between_slow_reports(period, slope):
         assert ours.clearance_m.min() > 0.8 * STANDOFF_M
         assert all("VALID" in state["status"] for state in ours.states)
         assert 0.9 < tau_s / TAU_S < 1.1
+
+
+@pytest.mark.parametrize("period", [2.0, 4.0])
+def test_readings_that_are_missing_do_not_hide_which_demands_a_robot_takes(period):
+    """GIVEN each demand taken WHEN one reading of twenty is NaN THEN the error is below 0.35 of a P loop's.
+
+    NaN in place of a reading that is due is no question for the demand.
+    """
+    job = replace(ARM, pose_s=period * TAU_S, reading_s=0.02)
+
+    def misread(t: float, range_m: float, rng: np.random.Generator) -> float:
+        return math.nan if rng.random() < 0.05 else range_m
+
+    for seed in range(3):
+        drive = (job, lambda x, t: 0.3 * x, 160 * TAU_S)
+        options = {"seed": seed, "place_m": place_m, "misread": misread}
+        ours = follow(*drive, **options, takes_each_s=math.inf)
+        plain = follow(*drive, **options, plain=True)
+        print(f"{period} τ, seed {seed}: {ours.rms_m(job) / plain.rms_m(job):.2f} of a P loop")
+        assert ours.rms_m(job) < 0.35 * plain.rms_m(job)
+
+
+@pytest.mark.parametrize("period", [2.0, 4.0])
+def test_a_robot_that_begins_to_ask_for_its_demand_is_believed(period):
+    """GIVEN each demand taken for 40 τ WHEN steps without a reading begin THEN the answers to these count."""
+    job = replace(ARM, pose_s=period * TAU_S, reading_s=0.02)
+    for seed in range(3):
+        drive = (job, rolling_m(seed), 200 * TAU_S, 0.15 * STANDOFF_M / job.pose_s)
+        later = follow(*drive, seed=seed, takes_each_s=40 * TAU_S)
+        always = follow(*drive, seed=seed, takes_each_s=1e-9)
+        late = slice(len(later.clearance_m) // 2, None)
+        errors = [np.sqrt(np.mean((run.clearance_m[late] - STANDOFF_M) ** 2)) for run in (later, always)]
+        print(f"{period} τ, seed {seed}: {errors[0] / errors[1]:.2f} of one that asked always")
+        assert errors[0] < 1.2 * errors[1]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -67,7 +67,7 @@ def follow(
     height_sign: float = 1.0,
     above_m: float = 0.0,
     push_mps: Callable[[float], float] | None = None,
-    takes_each: bool = False,
+    takes_each_s: float = 0.0,
 ) -> Run:
     """Follow the ground h(x, t) with the default follower, or with a P loop on the newest reading.
 
@@ -80,7 +80,7 @@ def follow(
     `ahead_m`: distance of the sensor ahead of the tool [m].
     `height_sign`: −1: heights of poses are negated, and demands are applied to these. `above_m`: height above
     the stand-off at which the tool begins [m]. `push_mps`: velocity of wind, current or load at a time.
-    `takes_each`: the axis takes the answer to each reading, and there are no steps without
+    `takes_each_s`: until then the axis takes the answer to each reading, and there are no steps without
     one; poses time out behind three intervals.
     """
     rng = np.random.default_rng(seed)
@@ -88,7 +88,7 @@ def follow(
     near_m, far_m = job.window_m
     sensors = [{"near_m": near_m, "far_m": far_m, "position_m": (ahead_m, 0.0, 0.0)}]
     config: dict[str, Any] = {"plant": plant, "sensors": sensors}
-    if takes_each:
+    if takes_each_s > 0.0:
         config["pose_timeout_ns"] = round(3e9 * job.pose_s)
     f = Follower(config, offset_m=job.standoff_m)
     z = z_plain = ground_m(0.0, 0.0) + job.standoff_m + above_m
@@ -116,12 +116,12 @@ def follow(
         for arrival in [a for a in coming if a[0] <= ms]:
             coming.remove(arrival)
             demand = float(f.step(arrival[1], [arrival[2]])[2])
-            if takes_each and not plain:
+            if t < takes_each_s and not plain:
                 target = z_plain + height_sign * demand
             if plain and math.isfinite(arrival[2]):
                 target = z_plain - P_GAIN * (arrival[2] - job.standoff_m)
         if ms % pose_ms == 0:
-            if not takes_each:
+            if t >= takes_each_s:
                 demand = float(f.step(t_ns, [math.nan])[2])
                 target = target if plain else z_plain + height_sign * demand
             if ms > 100 * seconds:

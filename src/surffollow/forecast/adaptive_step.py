@@ -115,6 +115,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     sample_ns, before_ns = estimate.sample_ns, adaptive.plant.t_ns  # of the cycle before
     if clock.update_clock(adaptive.clock, inputs.t_ns, pose_t_ns, before_ns):
         return health.forget(adaptive.health, layout_adaptive.FAULT_CLOCK)
+    controller_clock.observe_ask(adaptive, inputs)
     reported = pose_t_ns != before_ns
     if reported:
         if kinematics.update_kinematics(params, adaptive.kinematics, sense):

@@ -59,6 +59,7 @@ class Controller(Schema):
 
     period_ns = I64(unit="ns", doc="begin of the newest controller period")
     asked_ns = I64(unit="ns", doc="newest step of a caller in process without a reading")
+    declared_ns = I64(unit="ns", doc="newest of these steps in which no reading was due")
     latched_ns = I64(unit="ns", doc="newest latch")
     interval_ns = F64(unit="ns", doc="usual interval of latches")
     usual_ns = F64(unit="ns", doc="usual length of a controller period; 0: not known")

@@ -9,13 +9,14 @@ report, or each answer: which, his reports show (`own_setpoints`).
 import math
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
-from surffollow.forecast.quantities import MAX_GAP_NS, follow_interval
+from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, follow_interval
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
 LATCH_DELAY_NS = 500_000  # latch time before the cycle of a service that sees the report, on average
 # a controller period, in those of a plan: more frequent latches need no care; plans are too short for more
 SHORTEST_PERIODS, LONGEST_PERIODS = 0.6, 3.0
+DUE_INTERVALS = 0.9  # behind a reading the next one is due, however punctual it is
 
 
 @jit
@@ -74,6 +75,34 @@ def usual_interval(usual_ns, dt_ns):
 
 
 @jit
+def observe_ask(adaptive, inputs):
+    """Note a step of a caller in process without a reading: he asks for the demand that he takes.
+
+    A reading that is due, and does not come, says nothing about that.
+
+    Parameters
+    ----------
+    adaptive, inputs : records of `AdaptiveState` (`controller` updated), `Inputs`
+    """
+    controller, health, now_ns = adaptive.controller, adaptive.health, adaptive.clock.now_ns
+    with_range = False
+    for k in range(inputs.n_ranges):
+        with_range = with_range or math.isfinite(inputs.given_m[k])
+    if inputs.n_ranges <= 0 or with_range:
+        return
+    controller.asked_ns = now_ns
+    since_s, interval_s = (now_ns - health.reading_ns[0]) * 1e-9, health.interval_s[0]
+    if interval_s == 0.0 or since_s < DUE_INTERVALS * interval_s:
+        controller.declared_ns = now_ns
+
+
+@jit
+def declares_latches(controller, inputs, now_ns):
+    """Whether steps without a reading say which answers a caller in process takes."""
+    return inputs.n_ranges > 0 and now_ns - controller.declared_ns < LONG_GAP_NS
+
+
+@jit
 def observe_latch(controller, inputs, reported, takes_each, now_ns):
     """Update the period with a latch, which ends a pending one.
 
@@ -88,11 +117,7 @@ def observe_latch(controller, inputs, reported, takes_each, now_ns):
     -------
     bool  a caller in process who does not take each demand takes that of this cycle
     """
-    in_process, with_range = inputs.n_ranges > 0, False
-    for k in range(inputs.n_ranges):
-        with_range = with_range or math.isfinite(inputs.given_m[k])
-    if in_process and not with_range:
-        controller.asked_ns = now_ns
+    in_process = inputs.n_ranges > 0
     asked = now_ns == controller.asked_ns or (reported and now_ns - controller.asked_ns >= MAX_GAP_NS)
     if not (asked or takes_each if in_process else reported):
         return False

@@ -66,6 +66,12 @@ def compare_series(own, error_m, other_error_m):
 
 
 @jit
+def take_reports(own):
+    """The controller says which demands it latches: nothing is compared."""
+    own.takes_each = own.compared = 0
+
+
+@jit
 def record_report(own, t_ns):
     """Record that a controller of a service latched the setpoint of the cycle before its report."""
     record_setpoint(own.latched, t_ns, own.newest_m)

@@ -170,8 +170,9 @@ def update_plant(params, adaptive, sense, inputs):
         own_setpoints.record_report(adaptive.own, adaptive.clock.now_ns - controller_clock.LATCH_DELAY_NS)
     slow = axis_model.is_long((t - plant.t_ns) * 1e-9, plant.tau_configured_s)
     other_m, other_mps = propagate_axes(params, adaptive, t)
-    # steps without a reading say which answers are latched
-    if inputs.n_ranges <= 0 or adaptive.clock.now_ns - adaptive.controller.asked_ns >= LONG_GAP_NS:
+    if controller_clock.declares_latches(adaptive.controller, inputs, adaptive.clock.now_ns):
+        own_setpoints.take_reports(adaptive.own)
+    else:
         error_m, other_error_m = z - plant.offset_m - plant.axis_m, z - plant.offset_m - other_m
         if own_setpoints.compare_series(adaptive.own, abs(error_m), abs(other_error_m)):
             plant.axis_m, plant.axis_mps = other_m, other_mps
