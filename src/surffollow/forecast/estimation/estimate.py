@@ -13,6 +13,7 @@ from surffollow.forecast.estimation import (
 )
 from surffollow.forecast.modes import adapts
 from surffollow.forecast.plant import shadow_axes
+from surffollow.forecast.plant.axis_model import is_long
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES
 from surffollow.forecast.reset import reset_learned
 from surffollow.forecast.sensing import kinematics
@@ -177,7 +178,8 @@ def update_estimate(params, adaptive, t_ns, travel_m, h_m, standoff_m):
         only_bad = adaptive.weights.scored <= estimate.samples  # what is known is of the bad samples alone
         pending_m = adaptive.pending.height_m / adaptive.pending.samples
         least_m = pending_samples.INNER_GATE * innovation_gate.gate_width(params, adaptive)
-        slope = 0.0 if rests else pending_samples.pending_slope(adaptive.pending, least_m)
+        quick = not is_long(params.step_samples * adaptive.hold.interval_s, adaptive.plant.tau_s)
+        slope = 0.0 if rests or quick else pending_samples.pending_slope(adaptive.pending, least_m)
         behind_m = estimate.arc_length_m - adaptive.pending.arc_length_m / adaptive.pending.samples
         reset_estimate(params, adaptive, t_ns, 0.0, pending_m + slope * behind_m, standoff_m, only_bad)
         if slope != 0.0:  # on steep ground each sample would be a step from level ground again
