@@ -152,7 +152,7 @@ class _Comparison:
         for at, end in zip(begins, [*begins[1:], len(t_s)]):
             if not differs[at]:
                 continue
-            if not new[at]:  # it goes on from the run before
+            if not new[at]:  # it continues the run before
                 if not r.health_spans_left_out:
                     r.health_spans[-1].end_s = float(t_s[end - 1])
             elif len(r.health_spans) == MAX_SPANS:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,14 @@ def new_figure(size_in: tuple[float, float] = A4_IN) -> Any:
     figure = Figure(figsize=size_in, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06))
     FigureCanvasAgg(figure)
     return figure
+
+
+def time_axes(figure: Any, places: Iterable[Any]) -> list[Any]:
+    """Axes in places of a grid, one below the other, with one axis of time."""
+    axes = [figure.add_subplot(place) for place in places]
+    for ax in axes[1:]:
+        ax.sharex(axes[0])
+    return axes
 
 
 def save_figure(figure: Any, path: str | Path) -> None:

@@ -36,9 +36,7 @@ def plot_changed(path: str | Path, report: ChangedReplay, outcomes: Outcomes, ou
     with mpl.rc_context(fg.STYLE):
         figure = fg.new_figure()
         grid = figure.add_gridspec(3, 1, height_ratios=(1.4, 1.0, 0.6))
-        axes = [figure.add_subplot(grid[k, 0]) for k in range(3)]
-        for ax in axes[1:]:
-            ax.sharex(axes[0])
+        axes = fg.time_axes(figure, [grid[k, 0] for k in range(3)])
         changed = ", ".join(f"{p.name} = {p.value:g}" for p in report.parameters)
         title = f"{name_text(path)} with {changed} (open loop: poses as recorded)"
         figure.suptitle(title, x=0.02, ha="left", fontsize=9, wrap=True)

@@ -43,9 +43,7 @@ def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | P
     with mpl.rc_context(fg.STYLE):
         figure = fg.new_figure()
         grid = figure.add_gridspec(4, 2, height_ratios=(1.2, 1.0, 1.0, 1.1))
-        axes = [figure.add_subplot(grid[k, :]) for k in range(3)]
-        for ax in axes[1:]:
-            ax.sharex(axes[0])
+        axes = fg.time_axes(figure, [grid[k, :] for k in range(3)])
         t = replay.log.elapsed_s()
         figure.suptitle(_headline(file, replay), x=0.02, ha="left", fontsize=9)
         _draw_ground(axes[0], t, replay, columns)
