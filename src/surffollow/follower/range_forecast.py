@@ -23,6 +23,7 @@ from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_follow import MODE_ADAPTIVE
 from surffollow.shm.schema import F64, I64, Schema
 
+UNIT_TAUS = 3.0  # a unit is no shorter: shorter horizons are below what the forecast is made for
 # in units
 LEVEL, TREND, DECAY = 0.45, 2.5, 15.0  # time constants of level and trend; of decay and return
 LONGEST_MEAN = 1000.0
@@ -120,7 +121,7 @@ def update_forecast(params, forecast, t_ns, range_m):
     gap_s, dt = (t_ns - forecast.seen_ns) * 1e-9, (t_ns - forecast.t_ns) * 1e-9
     rejected = forecast.seen_ns != forecast.t_ns  # the range before
     forecast.seen_ns, forecast.seen_m = t_ns, range_m
-    least_s = 3.0 * params.plant_tau_s
+    least_s = UNIT_TAUS * params.plant_tau_s
     pause_s = max(PAUSE * least_s, PAUSE_INTERVALS * forecast.interval_s)
     if forecast.t_ns == 0 or gap_s <= 0.0 or gap_s > pause_s:
         forecast.level_m, forecast.trend_mps, forecast.t_ns = range_m, 0.0, t_ns

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from surffollow.config.params import PARAMS, names_given, param_name
 from surffollow.errors import UsageError
 from surffollow.follower import Follower
+from surffollow.follower.range_forecast import UNIT_TAUS
 from surffollow.follower.setup import TABLES
 from surffollow.record.columns import Columns
 from surffollow.record.csv_log import CsvLog
@@ -22,9 +23,6 @@ from surffollow.record.table import write_csv
 from surffollow.units import parse_quantity, unit_scale
 
 ROWS_PER_REPORT = 4096  # of the progress
-LEAST_HORIZON_TAUS = (
-    3.0  # the forecast smooths over at least so many time constants (follower/range_forecast.py)
-)
 ROW_HEADER = ("t_s", "range_m", "target_x_m", "target_y_m", "target_z_m", "height_m", "slope", "reference_m")
 
 
@@ -197,12 +195,12 @@ def horizon_notes(columns: Columns, mode: str) -> list[str]:
     given = {param_name(key): value for key, value in columns.follow.items() if key not in TABLES}
     plant = columns.follow.get("plant", {})
     tau_s = parse_quantity(given.get("plant_tau_s", plant.get("tau_s", PARAMS["plant_tau_s"].default)), "s")
-    least_s = LEAST_HORIZON_TAUS * tau_s
+    least_s = UNIT_TAUS * tau_s
     short = ", ".join(f"{h:g}" for h in columns.horizons_s if h < least_s * (1.0 - 1e-9))
     if not short or mode == "paper":
         return []
     return [
-        f"[forecast] horizons of {short} s are below {LEAST_HORIZON_TAUS:g} plant_tau ({least_s:g} s): the "
+        f"[forecast] horizons of {short} s are below {UNIT_TAUS:g} plant_tau ({least_s:g} s): the "
         "forecast is made for longer ones, and the newest range may be nearer"
     ]
 
