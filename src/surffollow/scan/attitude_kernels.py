@@ -6,7 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 from surffollow.scan.surface_lookup import height_at
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 
 MAX_POINTS = 128  # control points of a body
 HALVINGS = 4  # of the step near the equilibrium, down to 1/16 of it
@@ -46,7 +46,7 @@ class BodyPlacement(NamedTuple):
     body: Any
 
 
-@jit
+@jit_uncounted
 def deviations(placement: Any, pitch: Any, roll: Any, dev: Any) -> float:
     """Depth of each control point below the envelope; the deepest is returned.
 
@@ -73,7 +73,7 @@ def deviations(placement: Any, pitch: Any, roll: Any, dev: Any) -> float:
     return deepest
 
 
-@jit
+@jit_uncounted
 def steepest_relief(gp: Any, gr: Any, n: Any) -> tuple[float, float]:
     """The shortest vector of the hull of n gradients (gp, gr); (0, 0): no turn relieves all of them.
 
@@ -101,7 +101,7 @@ def steepest_relief(gp: Any, gr: Any, n: Any) -> tuple[float, float]:
     return vp, vr
 
 
-@jit
+@jit_uncounted
 def reach_of(body: Any) -> float:
     """Farthest control point (m, 3) [m] from the tip, in the plane of the underside [m]."""
     reach = 0.0
@@ -110,7 +110,7 @@ def reach_of(body: Any) -> float:
     return reach
 
 
-@jit
+@jit_uncounted
 def settle_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any) -> float:
     """Turn from `angles` until the deepest point is clear or in equilibrium; returns its depth [m].
 
@@ -173,7 +173,7 @@ def settle_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any)
     return depth  # type: ignore[no-any-return]
 
 
-@jit
+@jit_uncounted
 def search_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any) -> float:
     """`settle_attitude` from the angles given, and where the body still has to be lifted, from others too.
 
@@ -220,12 +220,12 @@ def search_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any)
     return best  # type: ignore[no-any-return]
 
 
-@jit
+@jit_uncounted
 def _inside(p: Any, r: Any, limits: Any) -> tuple[float, float]:
     return min(max(p, limits[0]), limits[1]), min(max(r, limits[2]), limits[3])
 
 
-@jit
+@jit_uncounted
 def settle_path(
     z: Any,
     scale: Any,

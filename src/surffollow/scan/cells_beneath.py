@@ -12,7 +12,7 @@ from surffollow.scan.bands import in_bands
 from surffollow.scan.checks import Floats
 from surffollow.scan.clearance_kernels import TILE, box_of, tile_tops
 from surffollow.scan.underside import axes_of, beside_plate, plates
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_uncounted
 
 HALF_DIAGONAL = math.sqrt(0.5)  # of a cell: a place is no farther from the centre of its own cell
 
@@ -48,7 +48,7 @@ def any_beneath(
     return found
 
 
-@jit
+@jit_uncounted
 def _beneath(
     marked: Any,
     tiles: Any,
@@ -78,7 +78,7 @@ def _beneath(
             found[k] = _covers(marked, tiles, g, corners, round_m + beside_m, axes, u, v, (y0, y1, x0, x1))
 
 
-@jit
+@jit_uncounted
 def _covers(
     marked: Any, tiles: Any, g: Any, corners: Any, wide_m: Any, axes: Any, u: Any, v: Any, box: Any
 ) -> bool:

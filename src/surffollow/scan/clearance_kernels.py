@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 from surffollow.scan.underside import axes_of, distance_of_cell, lift_for_cell
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_inlined, jit_uncounted
 
 TILE = 8  # cells; tiles whose highest cell is too low are passed over
 
 
-@jit
+@jit_uncounted
 def tile_tops(z: Any, tops: Any) -> None:
     """Highest height of every TILE × TILE cells into tops (⌈rows/TILE⌉, ⌈cols/TILE⌉); -inf unknown."""
     for i in range(tops.shape[0]):
@@ -24,7 +24,7 @@ def tile_tops(z: Any, tops: Any) -> None:
                 tops[y // TILE, x // TILE] = h
 
 
-@jit
+@jit_uncounted
 def box_of(z: Any, g: Any, corners: Any, wide_m: Any, axes: Any, u: Any, v: Any) -> Any:
     """First and last row, first and last column of the cells within `wide_m` beside a polygon.
 
@@ -55,7 +55,7 @@ def box_of(z: Any, g: Any, corners: Any, wide_m: Any, axes: Any, u: Any, v: Any)
     return math.ceil(top), math.floor(bottom), math.ceil(left), math.floor(right)
 
 
-@jit
+@jit_inlined
 def _highest(axes: Any, g: Any, u: Any, v: Any, top: Any, tile: Any) -> float:
     """Most that a cell of a tile, as high as its highest, can be beyond a plane, along the plane's normal."""
     i, j = tile
@@ -65,7 +65,7 @@ def _highest(axes: Any, g: Any, u: Any, v: Any, top: Any, tile: Any) -> float:
     return nx * x + ny * y + axes[2, 2] * top  # type: ignore[no-any-return]
 
 
-@jit
+@jit_uncounted
 def lift_of_pose(
     z: Any, tops: Any, g: Any, corners: Any, round_m: Any, level: Any, gap: Any, p: Any, axes: Any, least: Any
 ) -> float:
@@ -101,7 +101,7 @@ def lift_of_pose(
     return need  # type: ignore[no-any-return]
 
 
-@jit
+@jit_uncounted
 def lifts(
     z: Any,
     tops: Any,
@@ -131,7 +131,7 @@ def lifts(
             lift[k] = lift_of_pose(z, tops, g, corners, round_m, level, gap, position[k], axes, lift[k])
 
 
-@jit
+@jit_uncounted
 def lifts_between(
     z: Any,
     tops: Any,
@@ -172,7 +172,7 @@ def lifts_between(
         lift[k] = one[0]
 
 
-@jit
+@jit_uncounted
 def distance_of_pose(
     z: Any, tops: Any, g: Any, corners: Any, round_m: Any, level: Any, p: Any, axes: Any, most: Any
 ) -> float:
@@ -203,7 +203,7 @@ def distance_of_pose(
     return best  # type: ignore[no-any-return]
 
 
-@jit
+@jit_uncounted
 def distances(
     z: Any,
     tops: Any,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_inlined, jit_uncounted
 
 
-@jit
+@jit_inlined
 def height_at(z: Any, u: Any, v: Any) -> float:
     """Bilinear height at column u and row v (cell centres at whole numbers).
 
@@ -33,7 +33,7 @@ def height_at(z: Any, u: Any, v: Any) -> float:
     return best if best > -math.inf else math.nan
 
 
-@jit
+@jit_uncounted
 def sample_surface(z: Any, span: Any, uv: Any, out: Any) -> None:
     """Heights and slopes at points.
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.scan.checks import Floats
-from surffollow.shm.jit import jit
+from surffollow.shm.jit import jit_inlined, jit_uncounted
 
 ROUND_CORNERS = 8  # a hull of as many corners or more, all equally far from the middle, is a circle
 ROUND_M = 1e-6  # by which they may differ
@@ -79,7 +79,7 @@ def hull(points: Floats) -> Floats:
     return np.array(chain(ordered) + chain(ordered[::-1]))
 
 
-@jit
+@jit_uncounted
 def axes_of(q: Any, axes: Any) -> None:
     """Rotation matrix (3, 3), whose columns are the body's axes, of a quaternion x, y, z, w of any length."""
     x, y, z, w = q[0], q[1], q[2], q[3]
@@ -89,7 +89,7 @@ def axes_of(q: Any, axes: Any) -> None:
     axes[2, 0], axes[2, 1], axes[2, 2] = s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)
 
 
-@jit
+@jit_inlined
 def beside_plate(corners: Any, round_m: Any, a: Any, b: Any) -> tuple[float, float, float]:
     """Distance [m] of a place (a, b) of the plate's plane from the plate, and the direction away from it.
 
@@ -119,7 +119,7 @@ def beside_plate(corners: Any, round_m: Any, a: Any, b: Any) -> tuple[float, flo
     return far - round_m, ux / far, uy / far
 
 
-@jit
+@jit_inlined
 def lift_for_cell(
     corners: Any, round_m: Any, axes: Any, dx: Any, dy: Any, dz: Any, gap: Any, need: Any
 ) -> float:
@@ -159,7 +159,7 @@ def lift_for_cell(
     return t  # type: ignore[no-any-return]
 
 
-@jit
+@jit_inlined
 def distance_of_cell(corners: Any, round_m: Any, axes: Any, dx: Any, dy: Any, dz: Any, most: Any) -> float:
     """Distance [m] of a plate from one cell centre, or `most` if that is less.
 
