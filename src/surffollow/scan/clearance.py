@@ -155,17 +155,30 @@ def clear_ground(
     >>> np.round(path.clearance_m, 3)
     array([0.05, 0.05])
     """
-    body, gap = body_points(body_points_m), positive("gap_m", gap_m) + SPARE_M
-    compared, turned = Clearance.over(ground, body), path.quaternion
+    compared = Clearance.over(ground, body_points(body_points_m))
+    gap = positive("gap_m", gap_m)
+    made = clear_rows(path, compared, gap)
+    if between:
+        made = clear_ways(made, compared, gap)
+    return _measured(made, compared, gap)
+
+
+def clear_rows(path: ScanPath, compared: Clearance, gap_m: float) -> ScanPath:
+    """`clear_ground` of samples, without a measurement: `clearance_m` and the flag `lifted` are of before."""
+    return _lifted(path, compared.lifts(path.position_m, path.quaternion, gap_m + SPARE_M))
+
+
+def clear_ways(path: ScanPath, compared: Clearance, gap_m: float) -> ScanPath:
+    """The same for the straight ways from sample to sample of a path whose samples are clear."""
+    way = compared.lifts_between(path.position_m, path.quaternion, gap_m + SPARE_M)
+    # a straight way rises by what both its ends rise by
+    return _lifted(path, np.maximum(np.append(way, 0.0), np.append(0.0, way)))
+
+
+def _lifted(path: ScanPath, lift_m: Floats) -> ScanPath:
     position = path.position_m.copy()
-    lift = compared.lifts(position, turned, gap)
-    position[:, 2] += lift
-    if between and len(path) > 1:
-        way = compared.lifts_between(position, turned, gap)
-        # a straight way rises by what both its ends rise by
-        more = np.maximum(np.append(way, 0.0), np.append(0.0, way))
-        lift, position[:, 2] = lift + more, position[:, 2] + more
-    return _measured(path.changed(position_m=position, lift_m=path.lift_m + lift), compared, gap)
+    position[:, 2] += lift_m
+    return path.changed(position_m=position, lift_m=path.lift_m + lift_m)
 
 
 def with_clearance(path: ScanPath, body_points_m: ArrayLike, ground: TerrainGrid, gap_m: float) -> ScanPath:
@@ -187,11 +200,11 @@ def with_clearance(path: ScanPath, body_points_m: ArrayLike, ground: TerrainGrid
         places and attitudes are kept
     """
     compared = Clearance.over(ground, body_points(body_points_m))
-    return _measured(path, compared, positive("gap_m", gap_m) + SPARE_M)
+    return _measured(path, compared, positive("gap_m", gap_m))
 
 
-def _measured(path: ScanPath, compared: Clearance, gap: float) -> ScanPath:
-    most = LOOK_GAPS * gap
+def _measured(path: ScanPath, compared: Clearance, gap_m: float) -> ScanPath:
+    most = LOOK_GAPS * (gap_m + SPARE_M)
     clearance = compared.distances(path.position_m, path.quaternion, most)
     clearance[clearance >= most] = np.nan
     return path.changed(clearance_m=clearance).with_flag(LIFTED, path.lift_m > LIFTED_M)

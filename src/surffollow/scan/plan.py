@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from surffollow.errors import ScanInputError
 from surffollow.scan.body import body_points
 from surffollow.scan.checks import Floats, positive
-from surffollow.scan.clearance import clear_ground, with_clearance
+from surffollow.scan.clearance import Clearance, clear_rows, clear_ways, with_clearance
 from surffollow.scan.envelope import Envelope, envelope_of
 from surffollow.scan.following import advanced_terrain_following, reactionary, sample_terrain
 from surffollow.scan.grid import MIN_CELLS, TerrainGrid
@@ -141,7 +141,7 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
             "the region (is its unit metres?)"
         )
     local = _around(ground, corners, gap + radius + 1.5 * swath + _run_up_m(settings))
-    envelope = envelope_of(local, gap)
+    envelope, compared = envelope_of(local, gap), Clearance.over(local, body)
     step = settings.step_m if settings.step_m is not None else _step_m(ground.grid_m, gap)
     base = settings.base_m
     span = settings.span_m if settings.span_m is not None else max(ground.grid_m, 0.5 * radius)
@@ -153,8 +153,7 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
             normal, at_limit = limited_tilt(made, settings.motion.tilt_radps).normal, made.has(WRIST_LIMIT)
             made = reactionary(sampled.changed(normal=normal), body, envelope, settings.wrist)
             made = made.with_flag(WRIST_LIMIT, at_limit)
-        made = clear_ground(made, body, local, gap)
-        return _ramped(made, body, local, gap, step)
+        return clear_ways(_ramped(clear_rows(made, compared, gap), step), compared, gap)
 
     path = laid(_scheme(settings, swath, step))
     shaper = settings.shaper
@@ -189,11 +188,10 @@ def plan_scan(ground: TerrainGrid, settings: PlanSettings) -> ScanPath:
     return path.changed(facts=facts)
 
 
-def _ramped(path: ScanPath, body: Floats, ground: TerrainGrid, gap: float, step_m: float) -> ScanPath:
+def _ramped(path: ScanPath, step_m: float) -> ScanPath:
     """A path that climbs a vertical step over several rows: between two rows a robot goes straight."""
     rows = np.arange(len(path), dtype=np.float64)
-    made = limited_climb(path.changed(t_s=rows), STEEPEST * step_m)
-    return clear_ground(made.changed(t_s=path.t_s), body, ground, gap, between=True)
+    return limited_climb(path.changed(t_s=rows), STEEPEST * step_m).changed(t_s=path.t_s)
 
 
 def _step_m(grid_m: float, gap_m: float) -> float:
