@@ -136,13 +136,20 @@ def lift_for_cell(
     Notes
     -----
     The plate's plane gives an upper bound. From there Newton's iteration descends to the greatest root: the
-    distance from a convex plate is a convex function of the lift, so every step stays above the root.
+    distance from a convex plate is a convex function of the lift, so every step stays above the root. Most
+    cells need no step: lifted by `need` the plate is the gap or more away from them, and goes farther away.
     """
     nx, ny, nz = axes[0, 2], axes[1, 2], axes[2, 2]
     t = (nx * dx + ny * dy + nz * dz + gap) / nz
+    if t <= need:
+        return need  # type: ignore[no-any-return]
+    a = axes[0, 0] * dx + axes[1, 0] * dy + axes[2, 0] * (dz - need)
+    b = axes[0, 1] * dx + axes[1, 1] * dy + axes[2, 1] * (dz - need)
+    c = nx * dx + ny * dy + nz * (dz - need)
+    h, ea, eb = beside_plate(corners, round_m, a, b)
+    if h * h + c * c >= gap * gap and h * (ea * axes[2, 0] + eb * axes[2, 1]) + c * nz <= 0.0:
+        return need  # type: ignore[no-any-return]
     for _ in range(STEPS):
-        if t <= need:
-            return need  # type: ignore[no-any-return]
         a = axes[0, 0] * dx + axes[1, 0] * dy + axes[2, 0] * (dz - t)
         b = axes[0, 1] * dx + axes[1, 1] * dy + axes[2, 1] * (dz - t)
         c = nx * dx + ny * dy + nz * (dz - t)
@@ -156,6 +163,8 @@ def lift_for_cell(
         if far - gap <= 1e-12 * gap:
             return t  # type: ignore[no-any-return]
         t -= (far - gap) / slope
+        if t <= need:
+            return need  # type: ignore[no-any-return]
     return t  # type: ignore[no-any-return]
 
 
