@@ -6,7 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 from surffollow.scan.surface_lookup import height_at
-from surffollow.shm.jit import jit_uncounted
+from surffollow.shm.jit import jit_inlined, jit_uncounted
 
 MAX_POINTS = 128  # control points of a body
 HALVINGS = 4  # of the step near the equilibrium, down to 1/16 of it
@@ -46,30 +46,57 @@ class BodyPlacement(NamedTuple):
     body: Any
 
 
+@jit_inlined
+def turned(azimuth: Any, pitch: Any, roll: Any) -> Any:
+    """Cosines and sines of an attitude, for `depth_of`."""
+    return (
+        math.cos(azimuth),
+        math.sin(azimuth),
+        math.cos(pitch),
+        math.sin(pitch),
+        math.cos(roll),
+        math.sin(roll),
+    )
+
+
+@jit_inlined
+def depth_of(placement: Any, turn: Any, k: Any) -> float:
+    """Depth [m] of control point k below the envelope; -inf over unknown ground.
+
+    Parameters
+    ----------
+    placement : BodyPlacement
+    turn : of `turned`
+    """
+    z, scale, u0, v0, tip_z, _, body = placement
+    ca, sa, cp, sp, cr, sr = turn
+    a = body[k, 0]
+    b = cr * body[k, 1] - sr * body[k, 2]
+    c = sr * body[k, 1] + cr * body[k, 2]
+    x = cp * a + sp * c
+    up = -sp * a + cp * c
+    h = height_at(z, u0 + (ca * x - sa * b) * scale, v0 + (sa * x + ca * b) * scale)
+    return h - (tip_z + up) if h == h else -math.inf  # type: ignore[no-any-return]
+
+
 @jit_uncounted
-def deviations(placement: Any, pitch: Any, roll: Any, dev: Any) -> float:
+def deviations(placement: Any, pitch: Any, roll: Any, most: Any, dev: Any) -> float:
     """Depth of each control point below the envelope; the deepest is returned.
 
     Parameters
     ----------
     placement : BodyPlacement
     pitch, roll : float [rad]   attitude (`attitude_angles`)
+    most : float [m]            points behind the first one as deep as this are left out
     dev : (m,) float64 [m]      out: envelope minus point; -inf over unknown ground
     """
-    z, scale, u0, v0, tip_z, azimuth, body = placement
-    ca, sa = math.cos(azimuth), math.sin(azimuth)
-    cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
+    turn = turned(placement.azimuth, pitch, roll)
     deepest = -math.inf
-    for k in range(body.shape[0]):
-        a = body[k, 0]
-        b = cr * body[k, 1] - sr * body[k, 2]
-        c = sr * body[k, 1] + cr * body[k, 2]
-        x = cp * a + sp * c
-        up = -sp * a + cp * c
-        h = height_at(z, u0 + (ca * x - sa * b) * scale, v0 + (sa * x + ca * b) * scale)
-        d = h - (tip_z + up) if h == h else -math.inf
-        dev[k] = d
-        deepest = max(deepest, d)
+    for k in range(placement.body.shape[0]):
+        dev[k] = depth_of(placement, turn, k)
+        deepest = max(deepest, dev[k])
+        if deepest >= most:
+            break
     return deepest
 
 
@@ -130,21 +157,23 @@ def settle_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any)
     fall, eight directions are tried; then the step is halved.
     """
     m = placement.body.shape[0]
-    dev, trial, more, gp, gr = s[0], s[1], s[2], s[3], s[4]
+    # depths of the present attitude, of the one tried, of the best one tried; gradients
+    dev, trial, kept, gp, gr = s[0], s[1], s[2], s[3], s[4]
     reach = reach_of(placement.body)
     p, r = angles[0], angles[1]
-    depth = deviations(placement, p, r, dev)
+    depth = deviations(placement, p, r, math.inf, dev)
     smallest, small, largest = step / 2.0**HALVINGS, step, step * 2.0**DOUBLINGS
     turns = 0
     while depth > CLEAR_M and step >= smallest and turns < MAX_TURNS:
         turns += 1
         h = 0.25 * min(step, small)
-        deviations(placement, p + h, r, trial)
-        deviations(placement, p, r + h, more)
+        pitched = turned(placement.azimuth, p + h, r)
+        rolled = turned(placement.azimuth, p, r + h)
         n = 0
         for k in range(m):
             if dev[k] >= depth - min(step, small) * reach:
-                tp, tr = (trial[k] - dev[k]) / h, (more[k] - dev[k]) / h
+                tp = (depth_of(placement, pitched, k) - dev[k]) / h
+                tr = (depth_of(placement, rolled, k) - dev[k]) / h
                 gp[n] = tp if math.isfinite(tp) else 0.0
                 gr[n] = tr if math.isfinite(tr) else 0.0
                 n += 1
@@ -153,19 +182,21 @@ def settle_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any)
         best, best_p, best_r = depth, p, r
         if size > 1e-12:
             np_, nr = _inside(p - step * dp / size, r - step * dr / size, limits)
-            d = deviations(placement, np_, nr, trial)
+            d = deviations(placement, np_, nr, best, trial)
             if d < best:
                 best, best_p, best_r = d, np_, nr
+                trial, kept = kept, trial
         if best == depth and step <= small:
             for k in range(8):
                 turn = k * math.pi / 4.0
                 np_, nr = _inside(p + step * math.cos(turn), r + step * math.sin(turn), limits)
-                d = deviations(placement, np_, nr, trial)
+                d = deviations(placement, np_, nr, best, trial)
                 if d < best:
                     best, best_p, best_r = d, np_, nr
+                    trial, kept = kept, trial
         if best < depth:
-            p, r = best_p, best_r
-            depth = deviations(placement, p, r, dev)
+            depth, p, r = best, best_p, best_r
+            dev, kept = kept, dev
             step = min(2.0 * step, largest) if step >= small else step
         else:
             step *= 0.5
@@ -203,7 +234,7 @@ def search_attitude(placement: Any, angles: Any, limits: Any, step: Any, s: Any)
             p, r = limits[0] + wide_p * i, limits[2] + wide_r * j
             if abs(p - best_p) <= wide_p and abs(r - best_r) <= wide_r:
                 continue  # would settle in the same place
-            d = deviations(placement, p, r, s[0])
+            d = deviations(placement, p, r, d2, s[0])
             if d < d1:
                 d2, p2, r2 = d1, p1, r1
                 d1, p1, r1 = d, p, r
@@ -255,4 +286,4 @@ def settle_path(
         if step > 0.0:
             depth[k] = search_attitude(placement, angles[k], limits, step, s)
         else:
-            depth[k] = deviations(placement, angles[k, 0], angles[k, 1], s[0])
+            depth[k] = deviations(placement, angles[k, 0], angles[k, 1], math.inf, s[0])
