@@ -22,11 +22,13 @@ from surffollow.benchmark.hazard_scenarios import (
     draw,
 )
 from surffollow.benchmark.hazards import PLoop, play, shortfall_m
-from surffollow.forecast.attitude.plane_regression import is_bent
+from surffollow.forecast.attitude.plane_regression import is_bent, is_too_steep
 from surffollow.forecast.quantities import SLOW_RATE
 from surffollow.forecast.terrain.known_ground import compare_known_ground, lowest_plan
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_follow import FollowState, Inputs
+
+from .feeding import default_params
 
 MS = 1_000_000
 BELOW_P_M = 5e-3
@@ -532,6 +534,25 @@ def test_bent_beams_are_those_that_no_plane_fits(seed):
     plane = np.linalg.lstsq(design, h[accepted], rcond=None)[0]
     left = float(np.linalg.norm(h[accepted] - design @ plane))
     assert is_bent(a, n, gate) == int(left > gate)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_plane_is_too_steep_beyond_the_greatest_tilt_and_45_degrees(seed):
+    rng = np.random.default_rng(seed)
+    a, params = zeros(FollowState)[0]["adaptive"], default_params()
+    n, max_tilt_rad = int(rng.integers(3, 9)), float(rng.uniform(0.0, 1.4))
+    a["plane"]["slope_x"], a["plane"]["slope_y"] = rng.uniform(-1.0, 1.0, 2)
+    x, y = rng.uniform(-0.04, 0.04, (2, n))
+    slopes = 1.5 * rng.standard_normal(2)
+    h = slopes[0] * x + slopes[1] * y + 1e-3 * rng.standard_normal(n)
+    params["n_channels"], params["max_tilt_rad"] = n, max_tilt_rad
+    a["beams"]["footprint_m"][: 3 * n] = np.column_stack([x, y, h]).ravel()
+    a["beams"]["accepted"][:n] = 1
+    fit = np.linalg.lstsq(np.column_stack([np.ones(n), x, y]), h, rcond=None)[0]
+    angle = math.atan(math.hypot(fit[1], fit[2]))
+    spread = np.linalg.eigvalsh(np.cov(x, y))
+    if spread[0] > 0.02 * spread.sum():  # beams nearly on one line give no plane
+        assert is_too_steep(params, a) == (angle > max(max_tilt_rad, math.pi / 4))
 
 
 @pytest.mark.parametrize("seed", range(20))

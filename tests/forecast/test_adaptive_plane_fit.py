@@ -63,6 +63,7 @@ def angle_between(a, b):
 def test_first_plane_is_the_least_squares_plane_of_the_footprints():
     rng = np.random.default_rng(5)
     params = zeros(Params)[0]
+    params["gate_m"], params["offset_m"], params["max_tilt_rad"] = 1e-3, 0.1, 0.8
     for _ in range(100):
         n = int(rng.integers(3, 9))
         xy, s = rng.uniform(-0.05, 0.05, (n, 2)), rng.uniform(-0.4, 0.4, 2)

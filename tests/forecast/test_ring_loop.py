@@ -94,6 +94,33 @@ def test_a_ring_without_a_middle_beam_does_not_rise_behind_a_step(beams, step):
         assert distances.max() < 1.7 * STANDOFF_M
 
 
+@pytest.mark.parametrize("reading_ms", [4, 160])
+@pytest.mark.parametrize(("beams", "middle"), [(3, False), (3, True), (4, False), (5, True), (6, False)])
+def test_a_ring_that_starts_over_the_edge_of_a_plate_stays_over_the_plate(beams, middle, reading_ms):
+    """GIVEN beams beside the plate at the first sample THEN those on it count, and the tool stays upright.
+
+    The first plane was fitted through beams on both levels. The tool turned to it by up to 46 degrees, stood
+    up to 2.6 stand-offs high, and lost the ground.
+    """
+    for degrees in (0.0, 17.0, 34.0, 52.0):
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        around = ring(beams, middle, 0.15 * STANDOFF_M)
+        places = [(c * x - s * y, s * x + c * y, 0.0) for x, y, _ in around]
+        distances, states = follow(
+            places,
+            len(places) * [UPRIGHT],
+            lambda x: -0.7 * STANDOFF_M if x > 0.005 else 0.0,
+            4.0,
+            0.0,
+            reading_ms=reading_ms,
+        )
+        low, high = distances.min() / STANDOFF_M, distances.max() / STANDOFF_M
+        print(f"{degrees:.0f} degrees: {low:.2f} to {high:.2f} stand-offs")
+        assert low > 0.97
+        assert high < 1.03
+        assert states[-1].get("normal", (0.0, 0.0, 1.0))[2] > math.cos(math.radians(3.0))
+
+
 def test_one_frozen_beam_of_eight_does_not_lead_the_tool_away():
     """GIVEN beam 1 frozen with its noise WHEN the ring has crossed a step down THEN the others count.
 

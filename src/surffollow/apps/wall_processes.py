@@ -21,7 +21,7 @@ from surffollow.blocks import mem_attach
 from surffollow.errors import BlockError, NotRunningError, ServiceError, UsageError
 from surffollow.sim.base import BaseConfig
 
-SILENT_S = 1.0  # a base that publishes nothing for this long ended
+SILENT_S = 5.0  # a base that publishes nothing for so long ended; a busy machine may hold it up for a second
 
 ARBITER = """name = "{name}"
 
@@ -158,13 +158,15 @@ def _await_ready(child: Child, timeout_s: float = 90.0) -> None:
 def _await_clients(name: str, expected: list[str], child: Child, timeout_s: float = 90.0) -> dict[int, str]:
     """Wait until these clients are attached; their names by the arbiter's numbers."""
     deadline = time.monotonic() + timeout_s
+    numbers: dict[int, str] = {}
     with observe(name) as seen:
         while time.monotonic() < deadline and child.child.poll() is None:
             numbers = {int(c["number"]): str(c["name"]) for c in seen.status()["clients"]}
             if set(expected) <= set(numbers.values()):
                 return numbers
             time.sleep(0.02)
-    raise child.fail("did not attach")
+    missing = [client for client in expected if client not in numbers.values()]
+    raise child.fail(f"waited for clients that are not attached ({', '.join(missing)})")
 
 
 def _await_base(name: str, child: Child, timeout_s: float = 90.0) -> None:

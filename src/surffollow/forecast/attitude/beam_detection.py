@@ -2,8 +2,8 @@
 
 Each beam gives a height under the tool by way of the known slopes. A beam that deviates from the median of
 these heights by more than the gate is excluded. After some samples it is accepted again (the ground has
-turned), unless three others agree on a plane. One of three or four may be blocked (`blocked_beam`). Without a
-majority the beams that see the nearest ground count.
+turned), unless three others agree on a plane, or that with it is too steep. One of three or four may be
+blocked (`blocked_beam`). Without a majority the beams that see the nearest ground count.
 """
 
 import math
@@ -15,6 +15,7 @@ from surffollow.forecast.attitude.plane_regression import (
     flat_height,
     half_squared_distance,
     is_bent,
+    is_too_steep,
     odd_beam,
     plausible_bend_m,
 )
@@ -165,7 +166,7 @@ def is_repeating(adaptive, c):
 
 
 @jit
-def _is_outlier(adaptive, c, deviation, majority):
+def _is_outlier(adaptive, c, deviation, majority, known):
     """Whether a beam is excluded that deviates from the median by so many gates.
 
     Ground that rises under one beam leaves the gate gradually, and comes to the others.
@@ -175,14 +176,15 @@ def _is_outlier(adaptive, c, deviation, majority):
     adaptive : record of `AdaptiveState` (`beams` updated)
     c : int              the beam
     deviation : float64  above the median, over the gate
-    majority : bool      three others agree on a plane: no number of samples makes it the ground
+    majority : bool      three others agree on a plane, or that with it is too steep: it is never the ground
+    known : bool         the slopes are known, or the beams lie on no plane
     """
     beams = adaptive.beams
     travel_m = adaptive.kinematics.speed_mps * adaptive.hold.interval_s
     beams.outside_m[c] = beams.outside_m[c] + travel_m if deviation > 1.0 else 0.0
     alone = beams.outside_m[c] <= 2.0 * math.sqrt(2.0 * half_squared_distance(beams, c))
     rises = deviation > 0.0 and beams.deviation[c] > 0.5 and beams.outside_count[c] == 0 and alone
-    deviates = abs(deviation) > 1.0 and adaptive.plane.count > 0 and not rises
+    deviates = abs(deviation) > 1.0 and known and not rises
     beams.deviation[c] = deviation
     count = beams.outside_count[c] + (1 if deviates else -1)
     beams.outside_count[c] = min(max(count, 0), 2 * TURNED_SAMPLES)
@@ -212,10 +214,15 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     while last > 0 and beams.sorted_m[last] > highest_m:
         last -= 1
     nearest = beams.sorted_m[last]
-    apart, odd = 2 * agree <= n or (beams.inconsistent != 0 and nearest > median + gate), -1
-    if n < 4 or not begun or not apart:
+    steep = agree < n and n > 2 and is_too_steep(params, adaptive)
+    counts = beams.inconsistent != 0 or (steep and agree < 3)  # two beams against one are no majority there
+    apart, odd = 2 * agree <= n or (counts and nearest > median + gate), -1
+    bend_m = max(gate, plausible_bend_m(params, adaptive))
+    no_plane = steep or (agree < n and n > 3 and is_bent(adaptive, params.n_channels, bend_m))
+    majority, known = majority or steep, begun or no_plane
+    if not apart or n < 3:
         beams.inconsistent = 0
-    elif is_bent(adaptive, params.n_channels, max(gate, plausible_bend_m(params, adaptive))):
+    elif no_plane:
         # one wrong beam of six or more does not count against all others
         odd = odd_beam(adaptive, params.n_channels, gate) if n > 5 else -1
         # of a slow ring, or beams by turns, as many as come in the time in which a fault is over
@@ -231,7 +238,7 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         elif beams.inconsistent != 0:
             rejected = not nearest - gate <= beams.height_m[c] <= nearest
         else:
-            outlier = _is_outlier(adaptive, c, (beams.height_m[c] - median) / gate, majority)
+            outlier = _is_outlier(adaptive, c, (beams.height_m[c] - median) / gate, majority, known)
             rejected = outlier or (repeating == 1 and n >= 2 and is_repeating(adaptive, c))
         beams.accepted[c] = 0 if rejected else 1
         recovered = min(beams.weight[c] + 0.1, 1.0) if begun else 1.0  # it comes back within ten samples

@@ -113,6 +113,18 @@ def is_bent(adaptive, n_channels, gate_m):
 
 
 @jit
+def is_too_steep(params, adaptive):
+    """Whether the accepted beams lie on a plane steeper than `max_tilt_rad`, and than 45 degrees: an edge.
+
+    A smaller `max_tilt_rad` may be that of an arm, and says nothing of the ground.
+    """
+    plane, fit = adaptive.plane, fit_plane(adaptive, adaptive.beams.accepted, params.n_channels)
+    sine, cosine = elementary.sin_cos(params.max_tilt_rad)
+    slope = elementary.hypot(plane.slope_x + fit.error_x, plane.slope_y + fit.error_y)
+    return fit.rank == 2 and slope * cosine > max(sine, cosine)
+
+
+@jit
 def odd_beam(adaptive, n_channels, gate_m):
     """Accepted beam without which the others lie on a plane best, within the gate; -1: none.
 
