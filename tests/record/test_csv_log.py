@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from csv_logs import EXAMPLES, HEADER, PLAIN, log_of, plain
 from surffollow.errors import InputFileError, UsageError
 from surffollow.record.columns import load_columns, parse_columns
+from surffollow.record.csv_cells import ROWS_PER_REPORT
 from surffollow.record.csv_log import read_csv
 from surffollow.record.csv_replay import target_points
 
@@ -110,6 +112,26 @@ def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, text: str, messag
     with pytest.raises(UsageError, match=message) as e:
         log_of(tmp_path, text)
     assert e.value.exit_code == 1  # of a command: the file is wrong, not its words
+
+
+def test_reading_takes_little_more_memory_than_the_file_has(tmp_path: Path) -> None:
+    row = "1,20,0,0,0,0,0,0," + 4000 * "x" + "\n"
+    (tmp_path / "log.csv").write_text(HEADER.strip() + ",more\n" + 1000 * row)
+    read_csv(tmp_path / "log.csv", plain())  # modules are imported
+    tracemalloc.start()
+    try:
+        read_csv(tmp_path / "log.csv", plain())
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1.5 * 1000 * len(row)
+
+
+def test_the_progress_of_reading_is_told(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(HEADER + 2 * ROWS_PER_REPORT * "1,20,0,0,0,0,0,0\n")
+    told: list[float] = []
+    read_csv(tmp_path / "log.csv", plain(), told.append)
+    assert told == pytest.approx([0.0, 0.5], abs=0.05)
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])

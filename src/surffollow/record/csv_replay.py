@@ -81,8 +81,6 @@ def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
 def _no_reading(log: CsvLog, columns: Columns) -> str:
     """Why no row has a reading."""
     rows, given = log.t_s.size, columns.range
-    if not rows:
-        return "no row lies between --start and --end; check them, and that the log has rows"
     written = np.zeros(0) if log.written is None else log.written
     some = written[~np.isnan(written) & ~np.isin(written, given.no_reading)]
     if not some.size:
