@@ -11,6 +11,7 @@ import click
 from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.facts import print_facts
 from surffollow.cli.map_facts import map_facts
+from surffollow.cli.map_fill import fill_command
 from surffollow.cli.map_live import install_command, reset_command, upload_command
 from surffollow.cli.option_types import JSON, LENGTH, InputFile, OutputFile, SignedArguments
 from surffollow.cli.progress import progress_bar
@@ -26,7 +27,7 @@ _SHADES = " .:-=+*#%@"
 
 @click.group("map")
 def map_group() -> None:
-    """Show, export, compose, refocus and compare map files; upload, install and reset a service's map.
+    """Show, export, compose, refocus, fill and compare map files; upload, install and reset a service's map.
 
     Every command reads the text format of UpLoadMap and .npz (lossless), ESRI ASCII grids and GeoTIFF
     (as a prior, count 0), by their content. Every command writes what the suffix says: .txt .map .npz
@@ -34,6 +35,7 @@ def map_group() -> None:
     """
 
 
+map_group.add_command(fill_command)
 map_group.add_command(upload_command)
 map_group.add_command(install_command)
 map_group.add_command(reset_command)
