@@ -146,8 +146,7 @@ def run_csv(
         reading = math.isfinite(log.range_m[i])
         known = known or reading
         if known:
-            state = follower.state()
-            height[i], slope[i] = state["height_m"], state["slope"]
+            height[i], slope[i] = follower.surface()
         if reading:
             forecast[i] = [follower.forecast_range_m(h) for h in horizons]
     if progress is not None:
