@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from surffollow.config.input_file import contents_are_read, read_input
 from surffollow.errors import InputFileError, UsageError, escaped
+from surffollow.record.csv_times import ISO_UNIT, seconds_text
 from surffollow.record.mcap_reader import MAGIC
 from surffollow.units import decimal_number
 
@@ -46,10 +47,12 @@ def read_cells(
     verbatim: str,
     remedy: str,
     progress: Callable[[float], None] | None = None,
+    dated: bool | None = None,
 ) -> tuple[dict[str, NDArray[np.float64]], list[str], NDArray[np.int64]]:
     """The columns as numbers, one of them as it is written, and the line of each row.
 
     `names`: the columns → whether a cell may be empty. `remedy`: what the error of a missing column says.
+    `dated`: the one as written has dates, which become seconds since 1970; None: nobody may say that it has.
     `progress` gets the finished fraction 0 … 1. The file is decoded line by line: a log may be of gigabytes.
     """
     content = _content(path)
@@ -82,7 +85,9 @@ def read_cells(
             lines.append(rows.line_num)
             for name, optional in names.items():
                 cell = row[places[name]].strip() if places[name] < len(row) else ""
-                if separator != ",":
+                if name == verbatim and dated is not None:
+                    cell = _time(cell, dated, f"{path}, line {rows.line_num}, column {name!r}")
+                if separator != "," and not (dated and name == verbatim):
                     cell = _with_point(cell, signs, f"{path}, line {rows.line_num}, column {name!r}")
                 values[name].append(_number(cell, optional, f"{path}, line {rows.line_num}, column {name!r}"))
                 if name == verbatim:
@@ -164,6 +169,23 @@ def _with_point(cell: str, signs: set[str], where: str) -> str:
             "with one decimal sign and nothing between thousands"
         )
     return cell.replace(",", ".")
+
+
+def _time(cell: str, dated: bool, where: str) -> str:
+    """A cell of the column of times as the text of a number."""
+    if not dated and not _DATE_OR_TIME.match(cell):
+        return cell
+    seconds = seconds_text(cell)
+    if dated and seconds is None:
+        raise UsageError(
+            f"{where}: {_shown(cell)!r} is no date with a time such as 2025-05-04T09:30:00.2Z; correct or "
+            "remove the row, or give the unit of the column in the column file"
+        )
+    if not dated and seconds is not None:
+        raise UsageError(
+            f'{where}: {_shown(cell)!r} is not a number; give [time] unit = "{ISO_UNIT}" in the column file'
+        )
+    return cell if seconds is None else seconds
 
 
 def _number(cell: str, optional: bool, where: str) -> float:

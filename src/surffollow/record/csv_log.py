@@ -15,6 +15,7 @@ from surffollow.config.input_file import contents_are_read
 from surffollow.errors import UsageError
 from surffollow.record.columns import Columns
 from surffollow.record.csv_cells import read_cells
+from surffollow.record.csv_times import ISO_UNIT
 from surffollow.units import numbers_text, unit_scale
 
 MAX_SPAN_S = 1e9  # 31 years, well inside int64 nanoseconds
@@ -90,8 +91,10 @@ def read_csv(path: str | Path, columns: Columns, progress: Callable[[float], Non
     """
     names = _names(columns)
     remedy = "change the column file to match"
-    cells, times, lines = read_cells(path, names, columns.time.column, remedy, progress)
-    t_s = cells[columns.time.column] * unit_scale(columns.time.unit, "s")
+    dated = columns.time.unit == ISO_UNIT
+    scale = 1.0 if dated else unit_scale(columns.time.unit, "s")
+    cells, times, lines = read_cells(path, names, columns.time.column, remedy, progress, dated)
+    t_s = cells[columns.time.column] * scale
     back = np.flatnonzero(np.diff(t_s) < 0.0)
     if back.size:
         raise UsageError(
@@ -106,7 +109,7 @@ def read_csv(path: str | Path, columns: Columns, progress: Callable[[float], Non
     reference = None
     if columns.reference is not None:
         reference = cells[columns.reference.column] * unit_scale(columns.reference.unit, "m")
-    since_s = _since(times, unit_scale(columns.time.unit, "s"))
+    since_s = _since(times, scale)
     poses = _poses(columns, cells, t_s.size)
     return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, lines, cells[columns.range.column])
 
