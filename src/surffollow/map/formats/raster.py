@@ -125,7 +125,8 @@ def _refuse_degrees(path: FilePath, values: NDArray[np.float64], corner: list[fl
     if known.size < _ENOUGH:
         return
     relief_m = float(np.subtract(*np.percentile(known, (95.0, 5.0))))
-    if relief_m > _STEEPEST * side and max(map(abs, corner)) <= 360.0:
+    # a grid at 0, 0 is a local one, and projected places lie farther off
+    if relief_m > _STEEPEST * side and 0.0 < max(map(abs, corner)) <= 360.0:
         raise MapFileError(
             f"{path} has heights that differ by {relief_m:.3g} m over a side of {side:.3g}: its coordinates "
             "seem to be degrees; project it to metres, for example with gdalwarp"
