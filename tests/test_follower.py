@@ -55,6 +55,20 @@ def test_a_clock_that_begins_at_zero_follows_as_any_other(mode):
     assert (reported["t_ns"], reported["pose_t_ns"]) == (T0 + 399 * MS, T0 + 390 * MS)
 
 
+@pytest.mark.parametrize("mode", ["paper", "adaptive"])
+def test_the_surface_is_that_of_the_state_at_every_step(mode):
+    f = surffollow.Follower({"mode": mode}, offset_m=0.1)
+    slopes = set()
+    for k in range(400):
+        if k % 10 == 0:
+            f.pose(T0 + k * MS, at(1e-4 * k, 0.2))
+        f.step(T0 + k * MS, [0.11 + 1e-4 * k if k % 4 == 0 else math.nan])
+        state = f.state()
+        assert f.surface() == (state["height_m"], state["slope"])
+        slopes.add(state["slope"])
+    assert len(slopes) > 10  # the estimate moved
+
+
 def test_times_before_the_clocks_beginning_or_beyond_its_end_are_refused():
     f = surffollow.Follower()
     for t_ns in (-7200 * 1_000_000_000, 1 << 62):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 
+import click
 import pytest
 from numba.core import event
 
 from surffollow.cli import progress
 from surffollow.cli.main import VERBS, cli
+from surffollow.cli.map import map_group
 
 
 @pytest.mark.parametrize("terminal", [True, False])
@@ -44,7 +46,15 @@ def test_kernels_that_take_long_are_counted_on_a_terminal_and_the_line_is_cleare
 @pytest.mark.parametrize("verb", ["replay", "convert", "plot", "simulate", "latency", "wall-follow"])
 def test_commands_that_compile_show_it(verb: str) -> None:
     assert verb in VERBS
-    command = cli.get_command(None, verb)  # type: ignore[arg-type]
+    assert shows(cli.get_command(None, verb))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("verb", ["compose", "diff", "fill", "refocus"])
+def test_commands_of_maps_that_compile_show_it(verb: str) -> None:
+    assert shows(map_group.commands[verb])
+
+
+def shows(command: click.Command | None) -> bool:
     assert command is not None
     assert command.callback is not None
-    assert hasattr(command.callback, "__wrapped__")
+    return hasattr(command.callback, "__wrapped__")

@@ -244,8 +244,21 @@ def test_esri_grids_of_others_are_read(tmp_path):
     assert (origin, grid) == ((9.0, 19.0), 2.0)
     np.testing.assert_array_equal(z, [[4, np.nan, 6], [1, 2, 3]])
     path.write_text("ncols 3\nnrows 2\ncellsize 1\nxllcorner 0\nyllcorner 0\n1 2 3\n")
-    with pytest.raises(MapFileError, match="3 values for 3 × 2"):
+    with pytest.raises(MapFileError, match=r"3 values for 3 × 2 cells .* m; the file is cut off"):
         HeightMap.load(path)
+
+
+def test_an_esri_grid_with_decimal_commas_or_in_degrees_is_refused_with_a_remedy(tmp_path):
+    path = tmp_path / "dem.asc"
+    path.write_text("ncols 2\nnrows 1\ncellsize 1\nxllcorner 0\nyllcorner 0\n1,5 2,5\n")
+    with pytest.raises(MapFileError, match="'1,5'; write numbers with a decimal point"):
+        HeightMap.load(path)
+    heights = "\n".join(" ".join(str(200 + 5 * i + j) for j in range(10)) for i in range(10))
+    path.write_text(f"ncols 10\nnrows 10\ncellsize 0.0002\nxllcorner 8.3\nyllcorner 48.8\n{heights}\n")
+    with pytest.raises(MapFileError, match="seem to be degrees; project it to metres"):
+        HeightMap.load(path)
+    path.write_text(f"ncols 10\nnrows 10\ncellsize 2\nxllcorner 8.3\nyllcorner 48.8\n{heights}\n")
+    assert HeightMap.load(path).shape == (10, 10)
 
 
 def test_a_range_too_large_for_the_quantum_is_refused_or_gets_a_coarser_one():

@@ -173,3 +173,23 @@ def test_the_command_says_what_resolution_was_kept(tmp_path: Path) -> None:
     facts = json.loads(call("refocus", *words, "--json").stdout)
     assert facts["grid_m"] == facts["grid_before_m"]
     assert facts["known"] == facts["known_before"]
+
+
+@pytest.mark.parametrize(("count", "most"), [(0, 1), (3, 3)])
+def test_the_counts_of_a_picture_are_whole_numbers_from_0(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, most: int
+) -> None:
+    from matplotlib.figure import Figure
+
+    drawn: list[Figure] = []
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda f, *a, **k: (drawn.append(f), save(f, *a, **k)))
+    m = HeightMap.from_heights(
+        np.ones((4, 5)), origin_m=(0.0, 0.0), grid_m=0.5, counts=np.full((4, 5), count, np.uint8)
+    )
+    export(tmp_path / "map.png", m.header, m.pairs)
+    (bar,) = [axes for axes in drawn[0].axes if axes.get_ylabel() == "samples per grid"]
+    assert bar.get_ylim() == (0.0, most)
+    ticks = bar.get_yticks()
+    assert ticks.min() >= 0.0
+    assert (ticks == ticks.round()).all()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+import re
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 from csv_logs import EXAMPLES, HEADER, PLAIN, log_of, plain
 from surffollow.errors import InputFileError, UsageError
 from surffollow.record.columns import load_columns, parse_columns
+from surffollow.record.csv_cells import ROWS_PER_REPORT
 from surffollow.record.csv_log import read_csv
 from surffollow.record.csv_replay import target_points
 
@@ -94,7 +97,7 @@ def test_semicolons_and_tabs_are_read_with_either_decimal_sign(
         (HEADER + "nan,2,0,0,0,0,0,0\n", r"line 2, column 't': 'nan' is not"),
         (
             HEADER + "2026-11-30T20:00:00Z,2,0,0,0,0,0,0\n",
-            r"column 't': '2026-.*; write dates and times of day as",
+            r"column 't': '2026-.*; give \[time\] unit = ",
         ),
         (
             HEADER + "20:00:00.5,2,0,0,0,0,0,0\n",
@@ -110,6 +113,73 @@ def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, text: str, messag
     with pytest.raises(UsageError, match=message) as e:
         log_of(tmp_path, text)
     assert e.value.exit_code == 1  # of a command: the file is wrong, not its words
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("2025-05-04T09:30:00.2Z", "2025-05-04T09:30:01.200000001Z"),
+        ("2025-05-04 09:30:00.2", "2025/05/04 09:30:01,200000001 UTC"),
+        ("2025-05-04T11:30:00.2+02:00", "2025-05-04T04:00:01.200000001-0530"),
+    ],
+)
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_dates_with_times_are_seconds_since_1970_and_keep_their_digits(
+    tmp_path: Path, first: str, second: str, separator: str
+) -> None:
+    rows = [HEADER.strip(), f'"{first}",20,0,0,0,0,0,0', f'"{second}",20,0,0,0,0,0,0']
+    text = "\n".join(rows) + "\n" if separator == "," else _with_semicolons(rows)
+    log = log_of(tmp_path, text, plain(time={"column": "t", "unit": "iso8601"}))
+    assert log.t_s.tolist() == pytest.approx([1746351000.2, 1746351001.2])
+    assert log.elapsed_s().tolist() == [0.0, 1.000000001]
+
+
+def _with_semicolons(rows: list[str]) -> str:
+    """Rows whose first cell alone may have commas of its own."""
+    return "".join(
+        re.sub(r'^("[^"]*")?(.*)$', lambda m: (m[1] or "") + m[2].replace(",", ";"), row) + "\n"
+        for row in rows
+    )
+
+
+@pytest.mark.parametrize(
+    ("unit", "cell", "message"),
+    [
+        (
+            "s",
+            "2025-05-04T09:30:00Z",
+            r"'2025-05-04T09:30:00Z' is not a number; give \[time\] unit = \"iso8601\"",
+        ),
+        ("iso8601", "1746351000", r"line 2, column 't': '1746351000' is no date with a time such as"),
+        ("iso8601", "2025-02-30T00:00:00", "is no date with a time"),
+        ("iso8601", "", "is no date with a time"),
+    ],
+)
+def test_times_that_are_not_as_the_column_file_says_are_refused_with_the_unit(
+    tmp_path: Path, unit: str, cell: str, message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        log_of(tmp_path, HEADER + f"{cell},20,0,0,0,0,0,0\n", plain(time={"column": "t", "unit": unit}))
+
+
+def test_reading_takes_little_more_memory_than_the_file_has(tmp_path: Path) -> None:
+    row = "1,20,0,0,0,0,0,0," + 4000 * "x" + "\n"
+    (tmp_path / "log.csv").write_text(HEADER.strip() + ",more\n" + 1000 * row)
+    read_csv(tmp_path / "log.csv", plain())  # modules are imported
+    tracemalloc.start()
+    try:
+        read_csv(tmp_path / "log.csv", plain())
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1.5 * 1000 * len(row)
+
+
+def test_the_progress_of_reading_is_told(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(HEADER + 2 * ROWS_PER_REPORT * "1,20,0,0,0,0,0,0\n")
+    told: list[float] = []
+    read_csv(tmp_path / "log.csv", plain(), told.append)
+    assert told == pytest.approx([0.0, 0.5], abs=0.05)
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
@@ -128,6 +198,7 @@ def test_a_recording_that_is_named_as_a_log_is_told(tmp_path: Path, recording_by
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"time": {"column": "t", "unit": "utc"}}, "unknown unit 'utc'.*, and \"iso8601\" for dates"),
         ({"time": {"column": "t", "unit": "hours"}}, r"\[time\] unit: unknown unit 'hours'"),
         ({"range": {"column": "d", "unit": "s"}}, r"\[range\] unit: .*'s' is a time"),
         ({"range": {"column": "d", "unit": "m", "min": "3 m", "max": "2 m"}}, "below max"),

@@ -43,25 +43,20 @@ def test_an_unknown_parameter_of_the_follower_is_refused(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("cells", "start_s", "says"),
+    ("cells", "says"),
     [
         # cm in the column file, mm in the log
-        (["", "0", "12345"], None, "from min 0.05 to max 10 m: the first value of column 'd' is 12345 cm"),
-        (["", "0", "12345"], None, "which is 123.45 m; check \\[range\\] unit, min and max"),
-        (
-            ["", "0", "999"],
-            None,
-            "none of the 3 rows has a reading: column 'd' is empty or no_reading in all",
-        ),
-        (["20"], 5.0, "no row lies between --start and --end"),
+        (["", "0", "12345"], "from min 0.05 to max 10 m: the first value of column 'd' is 12345 cm"),
+        (["", "0", "12345"], "which is 123.45 m; check \\[range\\] unit, min and max"),
+        (["", "0", "999"], "none of the 3 rows has a reading: column 'd' is empty or no_reading in all"),
     ],
 )
 def test_a_log_without_a_reading_is_refused_with_a_value_that_arrived(
-    tmp_path: Path, cells: list[str], start_s: float | None, says: str
+    tmp_path: Path, cells: list[str], says: str
 ) -> None:
     rows = "".join(f"{n},{cell},0,0,0,0,0,0\n" for n, cell in enumerate(cells))
     with pytest.raises(UsageError, match=says):
-        run_csv(log_of(tmp_path, HEADER + rows, plain()).between(start_s, None), plain())
+        run_csv(log_of(tmp_path, HEADER + rows, plain()), plain())
 
 
 def test_a_range_in_the_unit_of_the_kernels_is_not_converted_in_the_message(tmp_path: Path) -> None:
@@ -210,11 +205,11 @@ def test_the_progress_of_a_long_log_is_told(tmp_path: Path) -> None:
     assert told == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0])
 
 
-def test_start_and_end_choose_rows_and_an_empty_choice_is_reported(tmp_path: Path) -> None:
+def test_start_and_end_choose_rows_and_an_empty_choice_names_the_times_of_the_log(tmp_path: Path) -> None:
     log = slope_log(tmp_path)
     assert log.between(1.0, 2.0).t_s.tolist() == pytest.approx([1.0 + 0.1 * k for k in range(11)])
-    with pytest.raises(UsageError, match="no row lies between --start and --end"):
-        run_csv(log.between(100.0, None), plain())
+    with pytest.raises(UsageError, match=f"the times of the log are 0 to {log.t_s[-1]:g} s"):
+        log.between(100.0, None)
 
 
 def test_written_rows_hold_target_height_and_slope(tmp_path: Path) -> None:

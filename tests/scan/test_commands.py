@@ -108,6 +108,26 @@ def test_the_live_map_of_a_service_is_planned_over_and_checked(service, tmp_path
     assert run("check", path, "--live", service.name).exit_code == 0
 
 
+def test_a_plan_over_filled_holes_says_that_the_check_needs_the_filled_map(tmp_path):
+    # GIVEN a map with a hole amid the region
+    z = np.zeros((100, 100))
+    z[48:52, 48:52] = np.nan
+    ground, path, filled = tmp_path / "ground.npz", tmp_path / "path.csv", tmp_path / "filled.npz"
+    HeightMap.from_heights(z, origin_m=(0.0, 0.0), grid_m=0.01).save(ground)
+    words = ["--region", "0.3,0.3,0.7,0.7", "--gap", "0.05", "-o", path]
+    # WHEN it is filled for the plan alone, THEN a note names the command that writes it
+    made = run("plan", ground, *words, "--fill", "5cm")
+    assert made.exit_code == 0, made.output
+    assert f"surffollow map fill {ground} --width 0.05 -o FILLED.npz" in made.output
+    assert run("check", ground, path).exit_code == 1
+    # WHEN that is followed, THEN the check accepts the path
+    done = CliRunner().invoke(cli, ["map", "fill", str(ground), "--width", "0.05", "-o", str(filled)])
+    assert done.exit_code == 0, done.output
+    made = run("plan", filled, *words, "--fill", "5cm")
+    assert "note" not in made.output
+    assert run("check", filled, path).exit_code == 0
+
+
 def message(*arguments):
     """The one line that the command line ends with."""
     got = run(*arguments)

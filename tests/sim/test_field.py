@@ -119,6 +119,7 @@ def test_laser_reads_the_distance_along_the_body_axis():
     assert laser_range(field, tip[:1], tilted)[0] == pytest.approx(high / (tilted[0] @ grade), abs=1e-6)
     flat = HeightField(np.zeros((10, 10)), 0.0, 0.0, 0.01)
     assert np.isnan(laser_range(flat, np.array([[0.05, 0.05, 3.0]]), up[:1]))[0]
+    assert laser_range(flat, np.array([[0.05, 0.05, 3.0]]), up[:1], 4.0)[0] == pytest.approx(3.0, abs=1e-6)
 
 
 def test_accelerometer_and_detector_follow_their_formulas():

@@ -7,8 +7,15 @@ import numpy as np
 from surffollow.scan.checks import Floats
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import ScanPath
-from surffollow.sim.field_sensors import laser_range
+from surffollow.sim.field_sensors import LASER_REACH_M, laser_range
 from surffollow.sim.surfaces import HeightField
+
+REACH_GAPS = 4.0  # so many gaps the beam sees at least: over a drop the middle is farther than the gap
+
+
+def reach_of(path: ScanPath) -> float:
+    """How far the range sensor of a scan sees [m]."""
+    return max(LASER_REACH_M, REACH_GAPS * float(path.facts["gap_m"]))
 
 
 def expected_range_m(path: ScanPath, ground: TerrainGrid | None = None) -> Floats:
@@ -34,5 +41,5 @@ def expected_range_m(path: ScanPath, ground: TerrainGrid | None = None) -> Float
     heights = np.ascontiguousarray(np.where(ground.known, ground.heights_m, np.nan))
     field = HeightField(heights, x0 + half, y0 + half, ground.grid_m)
     tip, normal = np.ascontiguousarray(path.position_m), np.ascontiguousarray(path.normal)
-    seen = laser_range(field, tip, normal)
+    seen = laser_range(field, tip, normal, reach_of(path))
     return np.where(np.isfinite(seen), seen, made)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from surffollow.apps.clearance_monitor import INSIDE_M
+from surffollow.apps.scan_expected import reach_of
 from surffollow.apps.scan_run import Executed
 from surffollow.scan.checks import Floats
 from surffollow.scan.clearance import Clearance, tops_of
@@ -63,8 +64,9 @@ def true_figures(done: Executed, ground: HeightField) -> dict[str, Any]:
 
     Returns
     -------
-    dict     rms_m, p99_m, mean_m of range along the axis minus the desired one; clearance_min_m of the
-        underside; violations (part of the samples with it more than 10 mm inside the gap), contacts
+    dict     rms_m, p99_m, mean_m of range along the axis minus the desired one, None where no range reaches
+        the ground; clearance_min_m of the underside; violations (part of the samples with it more than
+        10 mm inside the gap), contacts
         (part with it below the ground); tip_acceleration_rms_mps2 (horizontal, of the real tip); samples
     """
     trace, path = done.trace, done.path
@@ -73,7 +75,7 @@ def true_figures(done: Executed, ground: HeightField) -> dict[str, Any]:
         return {"samples": 0}
     tip = np.column_stack([trace[f"real_{c}_m"] for c in "xyz"])[on]
     normal = np.column_stack([trace[f"n{c}"] for c in "xyz"])[on]
-    error = laser_range(ground, tip, normal) - desired_range_m(done, trace["path_s"][on])
+    error = laser_range(ground, tip, normal, reach_of(path)) - desired_range_m(done, trace["path_s"][on])
     good = error[np.isfinite(error)]
     at = np.arange(0, len(on), max(1, len(on) // CHECKED))
     n = len(at)
@@ -84,9 +86,9 @@ def true_figures(done: Executed, ground: HeightField) -> dict[str, Any]:
     least = least_distance(ground, real, body, np.arange(n))
     gap = float(path.facts["gap_m"])
     return {
-        "rms_m": float(np.sqrt((good**2).mean())),
-        "p99_m": float(np.quantile(np.abs(good), 0.99)),
-        "mean_m": float(good.mean()),
+        "rms_m": float(np.sqrt((good**2).mean())) if len(good) else None,
+        "p99_m": float(np.quantile(np.abs(good), 0.99)) if len(good) else None,
+        "mean_m": float(good.mean()) if len(good) else None,
         "clearance_min_m": float(least.min()),
         "violations": float((least < gap - INSIDE_M).mean()),
         "tip_acceleration_rms_mps2": float(np.sqrt((_acceleration(trace)[on] ** 2).sum(axis=1).mean())),

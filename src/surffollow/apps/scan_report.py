@@ -11,10 +11,12 @@ from surffollow.apps.clearance_monitor import INSIDE_M
 from surffollow.apps.html_page import Page
 from surffollow.apps.scan_figures import desired_range_m
 from surffollow.apps.scan_run import Executed
+from surffollow.map.formats.axis_labels import label_axis, label_plan
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import flag_counts
 from surffollow.scan.pictures import draw_relief, new_figure, save_figure
 from surffollow.scan.plan_summary import plan_figures
+from surffollow.units import length_unit
 
 
 def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid | None) -> None:
@@ -37,21 +39,26 @@ def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid |
     scene.plot(
         done.trace["real_x_m"][moved], done.trace["real_y_m"][moved], color="red", lw=0.9, label="real tip"
     )
-    scene.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=title_text(done))
+    scene.set(aspect="equal", title=title_text(done))
+    if ground is None:
+        label_plan(scene, (*scene.get_xlim(), *scene.get_ylim()))
     scene.legend(fontsize=8, loc="upper right")
     ranges, correction, height = (figure.add_subplot(grid[k, 1]) for k in range(3))
     when, distance = done.ranges_m[:, 0], done.ranges_m[:, 1]
     path_s = np.interp(when, t, done.trace["path_s"]) if len(t) else when
-    ranges.plot(when, 1e3 * distance, lw=0.8, label="sensed")
-    ranges.plot(when, 1e3 * desired_range_m(done, path_s), color="black", lw=0.8, label="desired")
-    gap = 1e3 * float(done.path.facts["gap_m"])
-    ranges.set_ylim(0.0, 3.0 * gap)
-    ranges.set_ylabel("stand-off [mm]")
-    correction.plot(when, 1e3 * done.correction_m, lw=0.8, color="C1")
-    correction.set_ylabel("correction\nof the plan [mm]")
-    height.plot(t, 1e3 * done.trace["z_m"], lw=0.8, label="joints")
-    height.plot(t, 1e3 * done.trace["real_z_m"], lw=0.8, label="real tip")
-    height.set_ylabel("height [mm]")
+    gap_m = float(done.path.facts["gap_m"])
+    factor, unit = length_unit(gap_m)
+    ranges.plot(when, factor * distance, lw=0.8, label="sensed")
+    ranges.plot(when, factor * desired_range_m(done, path_s), color="black", lw=0.8, label="desired")
+    ranges.set_ylim(0.0, 3.0 * factor * gap_m)
+    ranges.set_ylabel(f"stand-off [{unit}]")
+    correction.plot(when, factor * done.correction_m, lw=0.8, color="C1")
+    correction.set_ylabel(f"correction\nof the plan [{unit}]")
+    z = np.concatenate([done.trace["z_m"], done.trace["real_z_m"]])
+    height.plot(t, factor * done.trace["z_m"], lw=0.8, label="joints")
+    height.plot(t, factor * done.trace["real_z_m"], lw=0.8, label="real tip")
+    limits = (float(z.min()), float(z.max())) if z.size else (0.0, 0.0)
+    label_axis(height.yaxis, "height", limits, factor, unit)
     height.set_xlabel("time [s]")
     for axes in (ranges, correction, height):
         axes.grid(alpha=0.3)

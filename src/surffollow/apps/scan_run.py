@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import ScanPath
 from surffollow.sim.robot_run import Controller, Service
 from surffollow.sim.world import WorldWriter
+from surffollow.units import length_unit
 
 REPORT_EVERY_NS = 500_000_000
 RETRACT_S = 10.0  # longest that a retract may take
@@ -31,6 +33,14 @@ LIFTS = (
 AFTERWARDS = 2000  # samples whose clearance is looked at again with all that was measured
 
 Progress = Callable[[str, float], Any]
+
+
+def progress_text(state: str, standoff_m: float, unit: tuple[float, str]) -> str:
+    """State of a run and its stand-off, "-" where there is no reading; `unit` as of `length_unit`."""
+    factor, name = unit
+    digits = 1 if name == "mm" else 3
+    shown = f"{factor * standoff_m:.{digits}f} {name}" if math.isfinite(standoff_m) else "-"
+    return f"{state}, stand-off {shown}"
 
 
 @dataclass(frozen=True)
@@ -130,6 +140,7 @@ class _Run:
         progress: Progress | None,
     ) -> None:
         self.robot, self.controller, self.control, self.world = robot, controller, control, world
+        self._unit = length_unit(float(robot.path.facts["gap_m"]))
         self._report = progress if progress is not None else lambda _text, _part: None
         self._rows: list[tuple[float, float, float]] = []
         self._reported_ns = self._paused_ticks = self._pauses = 0
@@ -216,7 +227,7 @@ class _Run:
         self._rows.append((t_s, distance, robot.correction_m))
         if robot.t_ns - self._reported_ns > REPORT_EVERY_NS:
             self._reported_ns = robot.t_ns
-            self._report(f"{self.state}, stand-off {1e3 * distance:.1f} mm", robot.progress)
+            self._report(progress_text(self.state, distance, self._unit), robot.progress)
 
     @property
     def state(self) -> str:

@@ -40,7 +40,9 @@ def replay_csv_log(
             "source distribution)"
         )
     meaning = load_columns(columns)
-    log = read_csv(file, meaning).between(start, end)
+    with progress_bar("reading") as progress:
+        log = read_csv(file, meaning, progress)
+    log = log.between(start, end)
     with progress_bar("following") as progress, contents_are_read():
         try:
             return run_csv(log, meaning, mode, progress), meaning

@@ -11,9 +11,10 @@ import click
 from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.facts import print_facts
 from surffollow.cli.map_facts import map_facts
+from surffollow.cli.map_fill import fill_command
 from surffollow.cli.map_live import install_command, reset_command, upload_command
 from surffollow.cli.option_types import JSON, LENGTH, InputFile, OutputFile, SignedArguments
-from surffollow.cli.progress import progress_bar
+from surffollow.cli.progress import progress_bar, shows_compiling
 from surffollow.errors import UsageError
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ _SHADES = " .:-=+*#%@"
 
 @click.group("map")
 def map_group() -> None:
-    """Show, export, compose, refocus and compare map files; upload, install and reset a service's map.
+    """Show, export, compose, refocus, fill and compare map files; upload, install and reset a service's map.
 
     Every command reads the text format of UpLoadMap and .npz (lossless), ESRI ASCII grids and GeoTIFF
     (as a prior, count 0), by their content. Every command writes what the suffix says: .txt .map .npz
@@ -34,6 +35,7 @@ def map_group() -> None:
     """
 
 
+map_group.add_command(fill_command)
 map_group.add_command(upload_command)
 map_group.add_command(install_command)
 map_group.add_command(reset_command)
@@ -122,6 +124,7 @@ def export_command(file: str, target: str, as_json: bool) -> None:
     "map's grids, as many as the whole area takes, up to 8 times those of all files (or a million).",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the facts of the result as JSON.")
+@shows_compiling
 def compose_command(files: Sequence[str], output: str, grids: int | None, as_json: bool) -> None:
     """Put several maps together into one, weighted by sample counts.
 
@@ -149,6 +152,7 @@ def compose_command(files: Sequence[str], output: str, grids: int | None, as_jso
 )
 @click.option("--finest", type=LENGTH, help="Finest useful grid; default: the file's.")
 @click.option("--json", "as_json", is_flag=True, help="Print the facts of the result as JSON.")
+@shows_compiling
 def refocus_command(
     file: str,
     region: tuple[float, float, float, float],
@@ -204,6 +208,7 @@ def _kept_text(before_m: float, m: HeightMap, finest: float | None) -> str:
 @click.argument("other", type=_EXISTING)
 @click.option("--limit", type=LENGTH, help="Exit with 1 when any grid differs by more.")
 @JSON
+@shows_compiling
 def diff_command(one: str, other: str, limit: float | None, as_json: bool) -> None:
     """Compare two maps: OTHER minus ONE on the grids of ONE."""
     import numpy as np

@@ -48,6 +48,15 @@ REMEDIES = {
 }
 
 
+def _fill_note(map_file: str | None, fill_m: float) -> str:
+    """Where the filled heights are not known, and the command that writes them."""
+    return (
+        "note: scan check and scan run with the map as it is refuse a path over holes that --fill filled; "
+        f"write the filled map (surffollow map fill {map_file or 'MAP'} --width {fill_m:g} -o FILLED.npz), "
+        "and plan, check and run with it"
+    )
+
+
 @click.command("plan")
 @click.argument("map_file", metavar="[MAP]", required=False, type=EXISTING)
 @LIVE
@@ -98,7 +107,11 @@ REMEDIES = {
 @click.option(
     "--damping", type=Finite(0.0, 0.9), default=0.04, show_default=True, help="Damping ratio of that mode."
 )
-@click.option("--fill", type=POSITIVE_LENGTH, help="Fill holes of the map up to this width first.")
+@click.option(
+    "--fill",
+    type=POSITIVE_LENGTH,
+    help="Fill holes of the map up to this width first, for this plan only (see `map fill`).",
+)
 @PICTURE
 @JSON
 @shows_compiling
@@ -146,7 +159,9 @@ def plan_command(
     check_outputs((output, picture), (map_file,))
     ground = ground_of(map_file, live, gap)
     if fill is not None:
-        ground = fill_holes(ground, fill)
+        known, ground = int(ground.known.sum()), fill_holes(ground, fill)
+        if ground.known.sum() > known:
+            click.echo(_fill_note(map_file, fill), err=True)
     space = None
     if reach is not None:
         if base is None:

@@ -295,6 +295,16 @@ class Follower:
             raise UsageError(f"horizon_s is {horizon:g} s; it must be finite")
         return float(forecast_range(self._params, self._state, self._forecast, horizon))
 
+    def surface(self) -> tuple[float, float]:
+        """Estimate of the surface alone, for a loop over many rows: `state` makes all its values anew.
+
+        Returns
+        -------
+        (float, float)
+            `height_m` [m] and `slope` of `state`
+        """
+        return float(self._output["height_m"][0]), float(self._output["slope"][0])
+
     def state(self) -> dict[str, Any]:
         """Estimates, health and adapted parameters as plain Python values.
 

@@ -12,13 +12,14 @@ from surffollow.config.input_file import contents_are_read
 from surffollow.config.key_errors import key_error_text
 from surffollow.config.toml_file import naming_source, read_toml
 from surffollow.errors import UsageError
+from surffollow.record.csv_times import ISO_UNIT
 from surffollow.units import parse_quantity, unit_scale
 
 Quantity = str | float
 
 
 class TimeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When the row was taken."""
+    """When the row was taken; unit "iso8601": dates with times."""
 
     column: str
     unit: str
@@ -142,9 +143,13 @@ def parse_columns(data: dict[str, Any], source: str = "column file") -> Columns:
         ("reference", columns.reference, "m"),
     ]
     for key, table, si_unit in checks:
-        if table is not None:
+        if table is not None and (si_unit != "s" or table.unit != ISO_UNIT):
+            other = f', and "{ISO_UNIT}" for dates with times' if key == "time" else ""
             with naming_source(f"{source}: [{key}] unit", UsageError):
-                unit_scale(table.unit, si_unit)
+                try:
+                    unit_scale(table.unit, si_unit)
+                except UsageError as error:
+                    raise UsageError(f"{error}{other}") from None
     with naming_source(source, UsageError):
         _check(columns)
     return columns

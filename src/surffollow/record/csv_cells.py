@@ -7,7 +7,8 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterable, Sequence
+from array import array
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,14 @@ from numpy.typing import NDArray
 
 from surffollow.config.input_file import contents_are_read, read_input
 from surffollow.errors import InputFileError, UsageError, escaped
+from surffollow.record.csv_times import ISO_UNIT, seconds_text
 from surffollow.record.mcap_reader import MAGIC
 from surffollow.units import decimal_number
 
 _DATE_OR_TIME = re.compile(r"\d{1,4}([-:/])\d{1,2}\1\d")
 SHOWN = 200  # characters of a file in a message
 LAST_HEADER_LINE = 100  # so far the line of column names is looked for, for a message
+ROWS_PER_REPORT = 1 << 14
 
 
 @contents_are_read()
@@ -39,15 +42,23 @@ def read_numbers(path: str | Path, names: Sequence[str]) -> list[NDArray[np.floa
 
 
 def read_cells(
-    path: str | Path, names: dict[str, bool], verbatim: str, remedy: str
-) -> tuple[dict[str, NDArray[np.float64]], list[str], list[int]]:
+    path: str | Path,
+    names: dict[str, bool],
+    verbatim: str,
+    remedy: str,
+    progress: Callable[[float], None] | None = None,
+    dated: bool | None = None,
+) -> tuple[dict[str, NDArray[np.float64]], list[str], NDArray[np.int64]]:
     """The columns as numbers, one of them as it is written, and the line of each row.
 
     `names`: the columns → whether a cell may be empty. `remedy`: what the error of a missing column says.
+    `dated`: the one as written has dates, which become seconds since 1970; None: nobody may say that it has.
+    `progress` gets the finished fraction 0 … 1. The file is decoded line by line: a log may be of gigabytes.
     """
-    text = _text(path)
-    separator = _separator(text, names)
-    rows = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    content = _content(path)
+    separator = _separator(content, names)
+    source = io.BytesIO(content)
+    rows = csv.reader(_lines(source), delimiter=separator)
     signs: set[str] = set()
     try:
         header = [name.strip() for name in next(rows, [])]
@@ -58,10 +69,12 @@ def read_cells(
             if header.count(name) > 1:
                 raise UsageError(f"{path}: column {name!r} occurs more than once; rename the others")
             places[name] = header.index(name)
-        values: dict[str, list[float]] = {name: [] for name in names}
+        values = {name: array("d") for name in names}
         written: list[str] = []
-        lines: list[int] = []
+        lines = array("q")
         for row in rows:
+            if progress is not None and len(lines) % ROWS_PER_REPORT == 0:
+                progress(source.tell() / len(content))
             if not any(cell.strip() for cell in row):
                 continue
             if any(cell.strip() for cell in row[len(header) :]):
@@ -72,7 +85,9 @@ def read_cells(
             lines.append(rows.line_num)
             for name, optional in names.items():
                 cell = row[places[name]].strip() if places[name] < len(row) else ""
-                if separator != ",":
+                if name == verbatim and dated is not None:
+                    cell = _time(cell, dated, f"{path}, line {rows.line_num}, column {name!r}")
+                if separator != "," and not (dated and name == verbatim):
                     cell = _with_point(cell, signs, f"{path}, line {rows.line_num}, column {name!r}")
                 values[name].append(_number(cell, optional, f"{path}, line {rows.line_num}, column {name!r}"))
                 if name == verbatim:
@@ -81,30 +96,36 @@ def read_cells(
         raise UsageError(f"{path}, line {rows.line_num}: {e}") from None
     if not lines:
         raise UsageError(f"log {path} has a line of column names and no row; expected rows of numbers")
-    return {name: np.array(v, np.float64) for name, v in values.items()}, written, lines
+    numbers = {name: np.frombuffer(v, np.float64) for name, v in values.items()}
+    return numbers, written, np.frombuffer(lines, np.int64)
 
 
-def _text(path: str | Path) -> str:
-    """Content of a log."""
+def _lines(source: io.BytesIO) -> io.TextIOWrapper:
+    """Lines with their ends, as `csv` takes them."""
+    return io.TextIOWrapper(source, encoding="utf-8-sig", newline="")
+
+
+def _content(path: str | Path) -> bytes:
+    """Content of a log that is text in UTF-8."""
     try:
         content = read_input(path, device=False)
     except OSError as e:
         raise InputFileError(f"cannot read log {path}: {e.strerror}") from None
     if content.startswith(MAGIC):
         raise UsageError(f"log {path} is a recording; a recording must have a name ending in .mcap")
-    if not content.strip():
+    if not content or content.isspace():
         raise UsageError(f"log {path} is empty; expected a line of column names, then rows of numbers")
     try:
-        text = content.decode("utf-8-sig")
+        content.isascii() or content.decode("utf-8")
     except UnicodeDecodeError:
         raise UsageError(f"log {path} is no text in UTF-8; save it as UTF-8") from None
-    if "\0" in text:
-        where = text.count("\n", 0, text.index("\0")) + 1
+    if b"\0" in content:
+        where = content.count(b"\n", 0, content.index(b"\0")) + 1
         raise UsageError(
             f"log {path} has zero bytes from line {where} on: a crash cut or padded it, or it is UTF-16; "
             "remove them with the row that they cut, or save it as UTF-8"
         )
-    return text
+    return content
 
 
 def _shown(text: str) -> str:
@@ -126,11 +147,11 @@ def _missing(
     return UsageError(f"{path} has no column {missing!r}; it has {_shown(', '.join(header))}; {remedy}")
 
 
-def _separator(text: str, names: Iterable[str]) -> str:
+def _separator(content: bytes, names: Iterable[str]) -> str:
     """The character between the columns: a comma, else a semicolon or a tab where the names need it."""
     for separator in (",", ";", "\t"):
         with contextlib.suppress(csv.Error):
-            header = next(csv.reader(io.StringIO(text, newline=""), delimiter=separator), [])
+            header = next(csv.reader(_lines(io.BytesIO(content)), delimiter=separator), [])
             if set(names) <= {name.strip() for name in header}:
                 return separator
     return ","
@@ -148,6 +169,23 @@ def _with_point(cell: str, signs: set[str], where: str) -> str:
             "with one decimal sign and nothing between thousands"
         )
     return cell.replace(",", ".")
+
+
+def _time(cell: str, dated: bool, where: str) -> str:
+    """A cell of the column of times as the text of a number."""
+    if not dated and not _DATE_OR_TIME.match(cell):
+        return cell
+    seconds = seconds_text(cell)
+    if dated and seconds is None:
+        raise UsageError(
+            f"{where}: {_shown(cell)!r} is no date with a time such as 2025-05-04T09:30:00.2Z; correct or "
+            "remove the row, or give the unit of the column in the column file"
+        )
+    if not dated and seconds is not None:
+        raise UsageError(
+            f'{where}: {_shown(cell)!r} is not a number; give [time] unit = "{ISO_UNIT}" in the column file'
+        )
+    return cell if seconds is None else seconds
 
 
 def _number(cell: str, optional: bool, where: str) -> float:

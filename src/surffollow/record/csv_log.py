@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
 from pathlib import Path
@@ -14,6 +15,7 @@ from surffollow.config.input_file import contents_are_read
 from surffollow.errors import UsageError
 from surffollow.record.columns import Columns
 from surffollow.record.csv_cells import read_cells
+from surffollow.record.csv_times import ISO_UNIT
 from surffollow.units import numbers_text, unit_scale
 
 MAX_SPAN_S = 1e9  # 31 years, well inside int64 nanoseconds
@@ -64,6 +66,12 @@ class CsvLog:
             keep &= self.t_s >= start_s
         if end_s is not None:
             keep &= self.t_s <= end_s
+        if self.t_s.size and not keep.any():
+            first, last = (numbers_text(float(t)) for t in self.t_s[[0, -1]])
+            raise UsageError(
+                f"no row lies between --start and --end: the times of the log are {first} to {last} s; "
+                "give both in its seconds"
+            )
         reference = None if self.reference_m is None else self.reference_m[keep]
         since = None if self.since_s is None else self.since_s[keep]
         lines = None if self.lines is None else self.lines[keep]
@@ -72,8 +80,8 @@ class CsvLog:
 
 
 @contents_are_read()
-def read_csv(path: str | Path, columns: Columns) -> CsvLog:
-    """Read a log.
+def read_csv(path: str | Path, columns: Columns, progress: Callable[[float], None] | None = None) -> CsvLog:
+    """Read a log; `progress` gets the finished fraction 0 … 1.
 
     Raises
     ------
@@ -83,8 +91,10 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     """
     names = _names(columns)
     remedy = "change the column file to match"
-    cells, times, lines = read_cells(path, names, columns.time.column, remedy)
-    t_s = cells[columns.time.column] * unit_scale(columns.time.unit, "s")
+    dated = columns.time.unit == ISO_UNIT
+    scale = 1.0 if dated else unit_scale(columns.time.unit, "s")
+    cells, times, lines = read_cells(path, names, columns.time.column, remedy, progress, dated)
+    t_s = cells[columns.time.column] * scale
     back = np.flatnonzero(np.diff(t_s) < 0.0)
     if back.size:
         raise UsageError(
@@ -99,9 +109,9 @@ def read_csv(path: str | Path, columns: Columns) -> CsvLog:
     reference = None
     if columns.reference is not None:
         reference = cells[columns.reference.column] * unit_scale(columns.reference.unit, "m")
-    since_s = _since(times, unit_scale(columns.time.unit, "s"))
-    poses, at = _poses(columns, cells, t_s.size), np.array(lines, np.int64)
-    return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, at, cells[columns.range.column])
+    since_s = _since(times, scale)
+    poses = _poses(columns, cells, t_s.size)
+    return CsvLog(t_s, _ranges(columns, cells), poses, reference, since_s, lines, cells[columns.range.column])
 
 
 def _since(times: list[str], scale: float) -> NDArray[np.float64] | None:

@@ -81,8 +81,6 @@ def make_follower(columns: Columns, log: CsvLog, mode: str | None) -> Follower:
 def _no_reading(log: CsvLog, columns: Columns) -> str:
     """Why no row has a reading."""
     rows, given = log.t_s.size, columns.range
-    if not rows:
-        return "no row lies between --start and --end; check them, and that the log has rows"
     written = np.zeros(0) if log.written is None else log.written
     some = written[~np.isnan(written) & ~np.isin(written, given.no_reading)]
     if not some.size:
@@ -148,8 +146,7 @@ def run_csv(
         reading = math.isfinite(log.range_m[i])
         known = known or reading
         if known:
-            state = follower.state()
-            height[i], slope[i] = state["height_m"], state["slope"]
+            height[i], slope[i] = follower.surface()
         if reading:
             forecast[i] = [follower.forecast_range_m(h) for h in horizons]
     if progress is not None:

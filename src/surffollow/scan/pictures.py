@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from surffollow.errors import ScanFileError
 from surffollow.extras import install_command
 from surffollow.map.formats.atomic_file import replacing
-from surffollow.map.formats.axis_labels import label_axis, label_plan
+from surffollow.map.formats.axis_labels import height_unit, label_axis, label_plan
 from surffollow.map.formats.picture import shaded_relief
 from surffollow.scan.grid import FILLED, MEASURED, UNKNOWN, TerrainGrid
 from surffollow.scan.path import UNKNOWN_BENEATH, WRIST_LIMIT, ScanPath
+from surffollow.units import length_unit
 
 _MAX_CELLS = 1200  # cells a side that are drawn
 _KINDS = {UNKNOWN: ("unknown", "0.5"), MEASURED: ("measured", "#1f968b"), FILLED: ("filled", "#fde725")}
@@ -38,11 +39,12 @@ def draw_relief(axes: Any, ground: TerrainGrid, figure: Any) -> None:
     z = np.where(ground.known, ground.heights_m, np.nan)[::step, ::step]
     x0, y0, x1, y1 = ground.extent_m
     common: dict[str, Any] = {"origin": "lower", "extent": (x0, x1, y0, y1), "interpolation": "nearest"}
-    image = axes.imshow(1e3 * z, cmap="terrain", **common)
+    known = z[np.isfinite(z)] if np.isfinite(z).any() else np.zeros(1)
+    factor, unit = height_unit(float(np.ptp(known)))
+    image = axes.imshow(factor * z, cmap="terrain", **common)
     axes.imshow(shaded_relief(z, ground.grid_m * step), cmap="gray", alpha=0.45, vmin=0.0, vmax=1.0, **common)
     bar = figure.colorbar(image, ax=axes, shrink=0.8)
-    known = z[np.isfinite(z)] if np.isfinite(z).any() else np.zeros(1)
-    label_axis(bar.ax.yaxis, "height", (float(known.min()), float(known.max())), 1e3, "mm")
+    label_axis(bar.ax.yaxis, "height", (float(known.min()), float(known.max())), factor, unit)
     axes.set_facecolor("0.5")
     label_plan(axes, common["extent"])
 
@@ -109,13 +111,21 @@ def draw_plan(path: str | os.PathLike[str], ground: TerrainGrid, plan: ScanPath)
     left.set_aspect("equal")
     left.set_title(f"{int(plan.passes.max()) + 1} passes, {plan.t_s[-1]:.1f} s")
     t = plan.t_s
-    right.plot(t, 1e3 * plan.clearance_m, label="clearance [mm]", lw=0.9)
-    right.plot(t, 1e3 * plan.lift_m, label="lift [mm]", lw=0.9)
+    factor, unit = length_unit(float(plan.facts["gap_m"]))
+    right.plot(t, factor * plan.clearance_m, label=f"clearance [{unit}]", lw=0.9)
+    right.plot(t, factor * plan.lift_m, label=f"lift [{unit}]", lw=0.9)
     tilt = np.degrees(np.arccos(np.clip(plan.normal[:, 2], -1.0, 1.0)))
-    right.plot(t, tilt, label="tilt [°]", lw=0.7)
+    # degrees beside metres would flatten the metres
+    tilts = right if unit == "mm" else right.twinx()
+    tilts.plot(t, tilt, label="tilt [°]", lw=0.7, color="C2")
     right.set_xlabel("time [s]")
-    right.set_ylabel("clearance, lift [mm]; tilt [°]")
-    right.legend(fontsize=8)
+    right.set_ylabel(f"clearance, lift [{unit}]" + ("; tilt [°]" if tilts is right else ""))
+    if tilts is not right:
+        tilts.set_ylabel("tilt [°]")
+        right.set_zorder(tilts.get_zorder() + 1)  # legend and lengths lie over the tilt
+        right.patch.set_visible(False)
+    lines = [*right.get_lines(), *([] if tilts is right else tilts.get_lines())]
+    right.legend(handles=lines, fontsize=8)
     right.grid(alpha=0.3)
     save_figure(figure, path)
 

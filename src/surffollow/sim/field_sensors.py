@@ -40,8 +40,11 @@ def laser_rows(
         out[k] = cast(z, frame[0], frame[1], frame[2], o, d, 0.0, reach, 0.005) - above
 
 
-def laser_range(ground: HeightField, tip_m: Floats, normal: Floats) -> Floats:
-    """(n,) true range [m] from the tip's middle, the point of greatest sensitivity, along the body's -z."""
+def laser_range(ground: HeightField, tip_m: Floats, normal: Floats, reach_m: float = LASER_REACH_M) -> Floats:
+    """(n,) true range [m] from the tip's middle, the point of greatest sensitivity, along the body's -z.
+
+    NaN beyond `reach_m`, which counts from `LASER_ABOVE_M` above the tip.
+    """
     out = np.empty(len(tip_m))
     frame = np.array([ground.x0_m, ground.y0_m, ground.grid_m])
     laser_rows(
@@ -50,7 +53,7 @@ def laser_range(ground: HeightField, tip_m: Floats, normal: Floats) -> Floats:
         np.ascontiguousarray(tip_m),
         np.ascontiguousarray(normal),
         LASER_ABOVE_M,
-        LASER_REACH_M,
+        reach_m,
         np.empty(3),
         np.empty(3),
         out,

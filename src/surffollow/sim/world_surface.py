@@ -82,7 +82,7 @@ def file_surface(file: str) -> HeightField:
         unknown = int((~np.isfinite(heights_m)).sum())
         raise ConfigError(
             f"ground '{file}' has {unknown} unknown grids of {heights_m.shape[1]} × {heights_m.shape[0]}; a "
-            "simulated ground needs 2 × 2 or more, all known (crop or fill it: surffollow map --help)"
+            "simulated ground needs 2 × 2 or more, all known (fill and cut it: surffollow map fill)"
         )
     x0, y0 = found.origin_m
     return HeightField(heights_m, x0 + half_m, y0 + half_m, found.grid_m)

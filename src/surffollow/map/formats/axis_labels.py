@@ -8,6 +8,7 @@ from typing import Any
 # values so many times their spread would need ticks of six digits and more
 FAR = 1000.0
 _TICKS = 6  # of short labels; long ones print over each other
+_IN_MM_M = 0.5  # heights that spread by less are shown in mm
 
 
 def round_origin(low: float, high: float) -> float:
@@ -23,6 +24,11 @@ def round_origin(low: float, high: float) -> float:
     # a few spreads, so that the origin has few digits and the ticks do, too
     step = 10.0 ** math.ceil(math.log10(max(span, 1e-9 * far) / 1.5))
     return round((low + high) / 2 / step) * step
+
+
+def height_unit(spread_m: float) -> tuple[float, str]:
+    """Units per metre, and unit, of an axis of heights that spread so far [m]."""
+    return (1e3, "mm") if spread_m < _IN_MM_M else (1.0, "m")
 
 
 def label_axis(

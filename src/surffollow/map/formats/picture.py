@@ -13,7 +13,7 @@ from surffollow.errors import MapFileError
 from surffollow.extras import install_command
 from surffollow.map import access
 from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
-from surffollow.map.formats.axis_labels import label_axis, label_plan
+from surffollow.map.formats.axis_labels import height_unit, label_axis, label_plan
 from surffollow.shm import map_layout as ml
 
 _MAX_SIDE = 800  # as many as a figure has dots
@@ -137,6 +137,7 @@ def write_picture(
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
+        from matplotlib.ticker import MaxNLocator
     except ImportError as e:
         raise MapFileError(f"a picture needs matplotlib: {install_command('plot')}") from e
     heights, counts, spacing, extent = _thinned(header, pairs, progress)
@@ -155,15 +156,18 @@ def write_picture(
     }
     known = np.isfinite(heights)
     spread = float(np.ptp(heights[known])) if known.any() else 0.0
-    factor, unit = (1e3, "mm") if spread < 0.5 else (1.0, "m")
+    factor, unit = height_unit(spread)
     relief = relief_axes.imshow(heights * factor, cmap="viridis", **common)
     relief_axes.imshow(shaded_relief(heights, spacing), cmap="gray", alpha=0.35, vmin=0, vmax=1, **common)
     bar = figure.colorbar(relief, ax=relief_axes, shrink=0.8)
     z = heights[known] if known.any() else np.zeros(1)
     label_axis(bar.ax.yaxis, "height", (float(z.min()), float(z.max())), factor, unit)
     shown = np.ma.masked_where(~known, counts)
-    image = count_axes.imshow(shown, cmap="cividis", vmin=0, **common)
-    figure.colorbar(image, ax=count_axes, label="samples per grid", shrink=0.8)
+    # counts are whole numbers from 0, also of a map of priors alone
+    most = max(1, int(counts.max(initial=0)))
+    image = count_axes.imshow(shown, cmap="cividis", vmin=0, vmax=most, **common)
+    ticks = MaxNLocator(integer=True)
+    figure.colorbar(image, ax=count_axes, label="samples per grid", shrink=0.8, ticks=ticks)
     grid, n = float(header[0]["grid_m"]), header[0]["nx"] * header[0]["ny"]
     side_text = f"{grid:.4g} m" if grid >= 1.0 else f"{grid * 1e3:.4g} mm"
     bounds = known_bounds(header, pairs)

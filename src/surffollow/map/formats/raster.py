@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,9 @@ from surffollow.shm import map_layout as ml
 Raster = tuple[NDArray[np.float64], tuple[float, float], float]
 _NODATA = -9999.0
 _NODATA_PART = 5e-6  # of its size: a text may have six digits of it
+_DECIMAL_COMMA = re.compile(r"'[-+]?\d+,\d+'")
+_ENOUGH = 100  # heights that tell a relief from odd values
+_STEEPEST = 30.0  # relief per side: no ground in metres is that steep all over
 
 
 def nodata_value(header: NDArray[Any]) -> float:
@@ -83,7 +87,8 @@ def read_esri_ascii(path: FilePath) -> Raster:
     except OSError as e:
         raise MapFileError(f"cannot read {path}: {e.strerror or e}") from e
     except (ValueError, MemoryError) as e:
-        raise MapFileError(f"{path} is not an ESRI ASCII grid: {e}") from e
+        remedy = "; write numbers with a decimal point" if _DECIMAL_COMMA.search(str(e)) else ""
+        raise MapFileError(f"{path} is not an ESRI ASCII grid: {e}{remedy}") from e
     missing = [k for k in ("ncols", "nrows", "cellsize") if k not in head]
     if missing:
         raise MapFileError(f"{path} is not an ESRI ASCII grid: it lacks {', '.join(missing)}")
@@ -95,7 +100,10 @@ def read_esri_ascii(path: FilePath) -> Raster:
         raise MapFileError(f"{path} is not an ESRI ASCII grid: its header has numbers that are not finite")
     nx, ny, grid = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
     if nx < 1 or ny < 1 or values.size != nx * ny:
-        raise MapFileError(f"{path} has {values.size} values for {nx} × {ny} cells of {grid} m")
+        raise MapFileError(
+            f"{path} has {values.size} values for {nx} × {ny} cells of {grid} m; the file is cut off, or its "
+            "header is that of another"
+        )
     corner = []
     for axis in "xy":
         if f"{axis}llcorner" in head:
@@ -107,4 +115,19 @@ def read_esri_ascii(path: FilePath) -> Raster:
     nodata = head.get("nodata_value", _NODATA)
     with np.errstate(invalid="ignore"):
         values[(values == nodata) | (np.abs(values - nodata) <= _NODATA_PART * abs(nodata))] = np.nan
+    _refuse_degrees(path, values, corner, max(nx, ny) * grid)
     return values.reshape(ny, nx)[::-1], (corner[0], corner[1]), grid
+
+
+def _refuse_degrees(path: FilePath, values: NDArray[np.float64], corner: list[float], side: float) -> None:
+    """Refuse a grid in degrees, which the format does not tell: its ground is far higher than it is wide."""
+    known = values[np.isfinite(values)]
+    if known.size < _ENOUGH:
+        return
+    relief_m = float(np.subtract(*np.percentile(known, (95.0, 5.0))))
+    # a grid at 0, 0 is a local one, and projected places lie farther off
+    if relief_m > _STEEPEST * side and 0.0 < max(map(abs, corner)) <= 360.0:
+        raise MapFileError(
+            f"{path} has heights that differ by {relief_m:.3g} m over a side of {side:.3g}: its coordinates "
+            "seem to be degrees; project it to metres, for example with gdalwarp"
+        )
