@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -217,7 +218,8 @@ def test_a_gap_without_damage_is_not_played_behind_a_recover_either(
 
 
 @pytest.mark.parametrize(
-    ("word", "value"), [(REFERENCE, -9), (REFERENCE, 8), (REFERENCE, 1 << 40), (POSES, -1), (POSES, 2**63 - 1)]
+    ("word", "value"),
+    [(REFERENCE, -9), (REFERENCE, 8), (REFERENCE, 1 << 40), (POSES, -1), (POSES, 2**63 - 1)],
 )
 def test_a_state_that_leads_a_kernel_out_of_its_arrays_or_its_time_is_not_stepped(
     make_recording: Callable[..., Path], word: int, value: int
@@ -284,7 +286,7 @@ def test_texts_and_numbers_that_the_author_of_a_file_chose_do_no_harm(
     # GIVEN a recording with control characters in its texts and counts that are none
     with RecordingReader(make_recording(cycles=600)) as reader:
         messages = [
-            b"".join(n.to_bytes(8, "little") for n in (b.segment, b.epoch, b.position, b.cycles)) + bytes(b.words)
+            struct.pack("<4q", b.segment, b.epoch, b.position, b.cycles) + bytes(b.words)
             for b in reader.batches()
         ]
         summary = reader.summary | {"lost_cycles": "²", "lost_words": "9" * 5000, "lost_bytes": "²"}

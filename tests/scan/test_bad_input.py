@@ -239,7 +239,7 @@ def test_a_pipe_is_no_file(read, tmp_path):
 )
 def test_json_that_is_nested_too_deeply_is_refused(read, before, tmp_path):
     (tmp_path / "a").write_text(before + "[" * 100_000 + "\nt_s\n")
-    with pytest.raises(ScanFileError, match="no JSON|cannot read"):
+    with pytest.raises(ScanFileError, match=r"no JSON|cannot read"):
         read(tmp_path / "a")
 
 

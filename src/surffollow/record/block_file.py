@@ -176,7 +176,7 @@ class BlockFile(McapReader):
                     except SchemaError as e:
                         raise RecordingError(f"{self.path}: {e}") from None
                     name = self._block_name(topic)
-                    if schema.HASH != declared.setdefault(name, schema.HASH):
+                    if declared.setdefault(name, schema.HASH) != schema.HASH:
                         raise RecordingError(f"{self.path} declares the block {name} in two ways")
                     kinds[number] = name, block_message(schema), schema
             elif opcode == MESSAGE:
@@ -244,7 +244,8 @@ def _row(schema: type[Schema], values: dict[str, Any]) -> list[Any]:
 
 def _leaves(schema: type[Schema], values: dict[str, Any]) -> Iterator[Any]:
     for f in schema.FIELDS:
-        value, is_array = values.get(f.name), f.count > 1 and not f.is_text
+        value: Any = values.get(f.name)
+        is_array = f.count > 1 and not f.is_text
         if is_array and len(value or ()) != f.count:
             raise ValueError(f"{f.name} has {len(value or ())} items; {f.count} are declared")
         if f.nested is not None:
