@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 import surffollow
 from second_user import NOBODY, as_other_user, needs_root
-from surffollow.blocks import I8, Block, mem_attach
+from surffollow.blocks import I8, Block, listing, mem_attach
 from surffollow.blocks.cheader import c_header
 from surffollow.blocks.layout import schema_from_text, schema_text
 from surffollow.blocks.remove import remove_block
@@ -266,3 +266,10 @@ def test_rm_removes_no_block_of_another_user(space):
     with pytest.raises(NoPermissionError):
         remove_block(path.name)
     assert path.exists()
+
+
+def test_a_folder_of_blocks_that_cannot_be_listed_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(listing, "SHM_ROOT", tmp_path / "none")
+    for listed in (listing.list_blocks, listing.unreadable_objects):
+        with pytest.raises(NoPermissionError, match=r"cannot list .*/none: No such file.*; its usual mode"):
+            listed()

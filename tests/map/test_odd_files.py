@@ -13,10 +13,11 @@ import pytest
 
 from map.small_maps import scattered, small
 from second_user import NOBODY, needs_root
-from surffollow.errors import MapFileError
+from surffollow.errors import MapFileError, ScanFileError
 from surffollow.map import HeightMap
 from surffollow.map.files import export
 from surffollow.map.formats import atomic_file
+from surffollow.scan import read_images
 from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import numpy_dtype
 
@@ -306,6 +307,35 @@ def test_scale_offset_and_unit_of_a_geotiff_are_applied(tmp_path, tags, highest_
 def test_a_geotiff_that_is_not_in_metres_is_refused(tmp_path, tags, why):
     with pytest.raises(MapFileError, match=why):
         HeightMap.load(geotiff(tmp_path / "dem.tif", **tags))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_file_that_names_others_to_read_is_no_geotiff(tmp_path):
+    # GIVEN a virtual dataset of GDAL, which reads another file, under the name of a GeoTIFF
+    geotiff(tmp_path / "other.tif")
+    band = '<SimpleSource><SourceFilename relativeToVRT="1">other.tif</SourceFilename></SimpleSource>'
+    (tmp_path / "dem.tif").write_text(
+        '<VRTDataset rasterXSize="2" rasterYSize="2"><GeoTransform>0, 1, 0, 2, 0, -1</GeoTransform>'
+        f'<VRTRasterBand dataType="Int16" band="1">{band}</VRTRasterBand></VRTDataset>'
+    )
+    (tmp_path / "cameras.toml").write_text('images."dem.tif" = {}')
+    # WHEN it is read as a map or as an image, THEN it is refused
+    with pytest.raises(MapFileError, match="not recognized"):
+        HeightMap.load(tmp_path / "dem.tif")
+    with pytest.raises(ScanFileError, match="not recognized"):
+        read_images([tmp_path / "dem.tif"], tmp_path / "cameras.toml")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_small_geotiff_that_announces_more_grids_than_a_map_has_is_not_read(tmp_path):
+    rasterio = pytest.importorskip("rasterio", reason="extra geo is not installed")
+    tiles = {"tiled": True, "blockxsize": 16384, "blockysize": 16384}
+    size = {"width": 200_000, "height": 200_000, "count": 1, "dtype": "uint8", "SPARSE_OK": True}
+    where = rasterio.transform.from_origin(0, 2, 1, 1)
+    rasterio.open(tmp_path / "dem.tif", "w", driver="GTiff", transform=where, **size, **tiles).close()
+    assert (tmp_path / "dem.tif").stat().st_size < 10_000
+    with pytest.raises(MapFileError, match=r"200000 × 200000 cells; a map has at most 1e\+09"):
+        HeightMap.load(tmp_path / "dem.tif")
 
 
 @needs_root

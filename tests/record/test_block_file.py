@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from surffollow.blocks import F32, F64, I64, U8, Block, Nested, Text, mem_attach
-from surffollow.errors import UsageError
-from surffollow.record.block_file import record_blocks
+from surffollow.errors import RecordingError, UsageError
+from surffollow.record.block_file import DECLARATION, record_blocks
 from surffollow.record.convert import convert
 from surffollow.record.recover import recover
 from surffollow.shm.schema import Schema
@@ -123,6 +127,55 @@ def test_a_cut_recording_of_blocks_is_recovered(tmp_path: Path) -> None:
     done = recover(path)
     assert (done.messages, done.cycles) == (1, 0)
     assert convert([done.file], "csv").rows == 1
+
+
+ONE = {"name": "v", "type": "f8", "count": 1}
+
+
+def declared(*fields: dict[str, Any]) -> str:
+    """The text of a declaration."""
+    return json.dumps({"schema": "A", "fields": list(fields)})
+
+
+def nested(levels: int) -> dict[str, Any]:
+    """A field of 5 ** levels numbers."""
+    of = {"schema": "A", "fields": [nested(levels - 1)]} if levels else None
+    return {"name": "v", "type": "x", "count": 5, "of": of} if of else ONE
+
+
+def by_hand(path: Path, channels: list[tuple[str, str]], data: bytes = b"") -> Path:
+    """A recording of blocks with one message in each channel (name, declaration)."""
+    with open(path, "wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE, enable_data_crcs=True)
+        writer.start("x", "x")
+        schema = writer.register_schema("s", "protobuf", b"")
+        for name, declaration in channels:
+            about = {DECLARATION: declaration}
+            channel = writer.register_channel(f"/blocks/{name}", "protobuf", schema, about)
+            writer.add_message(channel, 0, data, 0)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("channels", "data", "says"),
+    [
+        ([("../../x", declared(ONE))], b"", "a block whose name '../../x' is not allowed"),
+        ([("a\0b", declared(ONE))], b"", "is not allowed"),
+        ([("x", "[" * 100_000)], b"", "declares no schema"),
+        ([("x", declared(ONE))], b"\xff", "a publication of x cannot be read: a message is cut short"),
+        ([("x", declared(ONE | {"count": 1 << 36}))], b"", "v has 0 items; 68719476736 are declared"),
+        ([("x", declared(nested(15)))], b"", "v has 0 items; 5 are declared"),
+        ([("x", declared(ONE)), ("x", declared(ONE | {"count": 2}))], b"", "the block x in two ways"),
+    ],
+)
+def test_a_crafted_recording_of_blocks_is_refused(
+    tmp_path: Path, channels: list[tuple[str, str]], data: bytes, says: str
+) -> None:
+    path = by_hand(tmp_path / "blocks.mcap", channels, data)
+    with pytest.raises(RecordingError, match=re.escape(says)):
+        convert([path], "csv")
+    assert [p.name for p in tmp_path.iterdir()] == ["blocks.mcap"]
 
 
 def test_a_block_named_twice_is_refused(tmp_path: Path) -> None:

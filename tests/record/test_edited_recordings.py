@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from click.testing import CliRunner
 from mcap.writer import CompressionType, Writer
 
 from surffollow.cli.plot import plot_command
+from surffollow.cli.replay import report_text
 from surffollow.errors import RecordingError
 from surffollow.record import replay as replay_module
 from surffollow.record.convert import convert
@@ -23,6 +25,7 @@ from surffollow.record.format import (
     RECOVERED_NAME,
     SCHEMA_ENCODING,
     SCHEMA_NAME,
+    SUMMARY_NAME,
     TOPIC,
     layout_description,
 )
@@ -48,6 +51,7 @@ from surffollow.shm.layout_follow import FollowState
 Batches = list[tuple[Batch, np.ndarray]]
 DAMAGE = {"damage": "the chunk at byte 9 is damaged"}
 REFERENCE = 2 + PARAMS_WORDS + FollowState.offset("adaptive", "beams", "reference") // 8
+POSES = 2 + PARAMS_WORDS + FollowState.offset("sense", "pose_count") // 8
 
 
 def rewritten(
@@ -213,13 +217,16 @@ def test_a_gap_without_damage_is_not_played_behind_a_recover_either(
         load_recorded_inputs(path)
 
 
-@pytest.mark.parametrize("reference", [-9, 8, 1 << 40])
-def test_a_state_that_leads_a_kernel_out_of_its_arrays_is_not_stepped(
-    make_recording: Callable[..., Path], reference: int
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [(REFERENCE, -9), (REFERENCE, 8), (REFERENCE, 1 << 40), (POSES, -1), (POSES, 2**63 - 1)],
+)
+def test_a_state_that_leads_a_kernel_out_of_its_arrays_or_its_time_is_not_stepped(
+    make_recording: Callable[..., Path], word: int, value: int
 ) -> None:
     def change(batches: Batches) -> Batches:
         words, at = first(batches, SNAPSHOT)
-        words[at + REFERENCE] = reference
+        words[at + word] = value
         return batches
 
     path = rewritten(make_recording(cycles=600, mode=1, channels=4), change)
@@ -231,7 +238,9 @@ def test_a_state_that_leads_a_kernel_out_of_its_arrays_is_not_stepped(
         convert([path], "csv", path.with_suffix(".csv"), force=True)
 
 
-def by_hand(path: Path, schema: bytes, messages: list[bytes]) -> Path:
+def by_hand(
+    path: Path, schema: bytes, messages: list[bytes], metadata: dict[str, dict[str, str]] | None = None
+) -> Path:
     """A recording made with a public library."""
     with open(path, "wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE, enable_data_crcs=True)
@@ -240,6 +249,8 @@ def by_hand(path: Path, schema: bytes, messages: list[bytes]) -> Path:
         channel = writer.register_channel(TOPIC, MESSAGE_ENCODING, number)
         for data in messages:
             writer.add_message(channel, 0, data, 0)
+        for name, values in (metadata or {}).items():
+            writer.add_metadata(name, values)
         writer.finish()
     return path
 
@@ -261,6 +272,33 @@ def test_a_layout_record_of_another_machine_or_program_is_named(
     path = by_hand(tmp_path / "x.mcap", json.dumps(layout).encode(), [bytes(32)])
     with pytest.raises(RecordingError, match=says):
         replay_file(path)
+
+
+def test_a_layout_record_that_is_nested_too_deeply_is_named(tmp_path: Path) -> None:
+    path = by_hand(tmp_path / "x.mcap", b'{"format":' + b"[" * 100_000, [bytes(32)])
+    with pytest.raises(RecordingError, match="layout record cannot be read"):
+        replay_file(path)
+
+
+def test_texts_and_numbers_that_the_author_of_a_file_chose_do_no_harm(
+    make_recording: Callable[..., Path],
+) -> None:
+    # GIVEN a recording with control characters in its texts and counts that are none
+    with RecordingReader(make_recording(cycles=600)) as reader:
+        messages = [
+            struct.pack("<4q", b.segment, b.epoch, b.position, b.cycles) + bytes(b.words)
+            for b in reader.batches()
+        ]
+        summary = reader.summary | {"lost_cycles": "²", "lost_words": "9" * 5000, "lost_bytes": "²"}
+    layout = json.loads(layout_description()) | {"surffollow": "1\x1b[2J", "machine": "m\x1b[2J"}
+    metadata = {SUMMARY_NAME: summary, RECOVERED_NAME: {"damage": "cut\x1b[2J"}}
+    path = by_hand(reader.path.with_name("x.mcap"), json.dumps(layout).encode(), messages, metadata)
+    # WHEN it is replayed, THEN they are shown without effect, or not taken
+    report = replay_file(path)
+    assert (report.cycles, report.lost_cycles, report.lost_words, report.lost_bytes) == (600, 0, 0, 0)
+    shown = report_text("x.mcap", report)
+    assert "\x1b" not in shown
+    assert all(f"{text}\\x1b[2J" in shown for text in ("surffollow 1", "on m", "cut"))
 
 
 @pytest.mark.parametrize("text", ["", "abc", "0", "-5", "9" * 30])

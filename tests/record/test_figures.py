@@ -226,6 +226,22 @@ def test_a_file_whose_name_is_no_utf_8_becomes_a_figure(
     assert "run-\N{REPLACEMENT CHARACTER}" in words_of(tmp_path / "a.svg")
 
 
+@pytest.mark.parametrize("kind", ["recording", "log"])
+def test_names_with_dollar_signs_are_no_formulas(
+    request: pytest.FixtureRequest, tmp_path: Path, kind: str
+) -> None:
+    source: Path = request.getfixturevalue(kind)
+    named = tmp_path / rf"$\frac${source.suffix}"
+    column = rb"$\frac$" if kind == "log" else b"n"
+    named.write_bytes(source.read_bytes().replace(b"n", column))
+    reference = "[reference]\ncolumn = '$\\frac$'\nunit = 'm'\n"
+    (tmp_path / "columns.toml").write_text(COLUMNS.replace('"n"', r"'$\frac$'") + reference)
+    columns = ["--columns", str(tmp_path / "columns.toml")] if kind == "log" else []
+    done = CliRunner().invoke(plot_command, [str(named), *columns, "--out", str(tmp_path / "a.svg")])
+    assert done.exit_code == 0, done.exception
+    assert rf"$\frac${source.suffix}: " in words_of(tmp_path / "a.svg")
+
+
 def test_a_map_file_becomes_a_figure(tmp_path: Path) -> None:
     HeightMap.from_heights(np.zeros((4, 5)), origin_m=(0, 0), grid_m=0.01).save(tmp_path / "m.txt")
     CliRunner().invoke(plot_command, [str(tmp_path / "m.txt")], catch_exceptions=False)

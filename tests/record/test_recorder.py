@@ -14,9 +14,11 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from second_user import NOBODY, needs_root
 from surffollow.errors import FaultError, LayoutMismatchError
 from surffollow.record import writer as writer_module
 from surffollow.record.format import BATCH_CYCLES, SCHEMA_ENCODING, TOPIC
+from surffollow.record.mcap_reader import MAGIC
 from surffollow.record.reader import RecordingReader
 from surffollow.record.recorder import Recorder
 from surffollow.record.recording_writer import RecordingWriter
@@ -341,3 +343,25 @@ def test_a_file_that_is_there_already_is_only_replaced_by_force(tmp_path: Path) 
     with RecordingWriter(path, force=True) as writer:
         writer.finish({})
     assert path.read_bytes().startswith(b"\x89MCAP")
+
+
+@needs_root
+def test_force_replaces_no_link_and_no_file_of_another_user_in_a_shared_folder(tmp_path: Path) -> None:
+    (tmp_path / "own.mcap").write_text("kept")
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o1777)
+    (shared / "link.mcap").symlink_to(tmp_path / "own.mcap")
+    (shared / "file.mcap").write_text("theirs")
+    for kind in ("link", "file"):
+        path = shared / f"{kind}.mcap"
+        os.chown(path, NOBODY, NOBODY, follow_symlinks=False)
+        # WHEN a recording is to replace it, THEN it is refused
+        with pytest.raises(FaultError, match=f"is a {kind} of user {NOBODY}; choose another"):
+            RecordingWriter(path, force=True)
+    assert (tmp_path / "own.mcap").read_text() == "kept"
+    assert (shared / "file.mcap").read_text() == "theirs"
+    # one's own links are followed
+    (shared / "own.mcap").symlink_to(tmp_path / "own.mcap")
+    RecordingWriter(shared / "own.mcap", force=True).finish({})
+    assert (tmp_path / "own.mcap").read_bytes().startswith(MAGIC)

@@ -13,6 +13,7 @@ from surffollow.scan.arm import Arm
 from surffollow.scan.body import disc
 from surffollow.scan.calibration import CalibrationMatrix
 from surffollow.scan.camera import Camera, looking_down
+from surffollow.scan.check_file import read_rows
 from surffollow.scan.cloud_files import read_cloud
 from surffollow.scan.deviation import planar_deviation
 from surffollow.scan.envelope import ball_envelope
@@ -22,6 +23,7 @@ from surffollow.scan.limits import Annulus, WristLimits
 from surffollow.scan.modes import identify_mode
 from surffollow.scan.patches import coherent_patches
 from surffollow.scan.path import OUT_OF_REACH, UNKNOWN_BENEATH, WRIST_LIMIT
+from surffollow.scan.path_file import read_path
 from surffollow.scan.plan import PlanSettings, plan_scan
 from surffollow.scan.planar_filter import conditional_planar_filter
 from surffollow.scan.polar import PolarCorrection
@@ -229,6 +231,16 @@ def test_a_pipe_is_no_file(read, tmp_path):
     os.mkfifo(pipe)
     with pytest.raises(ScanFileError, match="no plain file"):
         read(pipe)
+
+
+@pytest.mark.parametrize(
+    ("read", "before"),
+    [(read_path, "# x = "), (read_rows, "# x = "), (CalibrationMatrix.load, "")],
+)
+def test_json_that_is_nested_too_deeply_is_refused(read, before, tmp_path):
+    (tmp_path / "a").write_text(before + "[" * 100_000 + "\nt_s\n")
+    with pytest.raises(ScanFileError, match=r"no JSON|cannot read"):
+        read(tmp_path / "a")
 
 
 def test_the_map_of_a_station_is_no_pipe(tmp_path):

@@ -18,6 +18,7 @@ from running_service import READY_S, Service, objects_of, program, said, until
 from service.working_client import Make, goes_on
 from surffollow.service.driver_watch import DriverWatch
 from surffollow.service.housekeeping import Guard
+from surffollow.shm.objects import unlink
 
 # a small /dev/shm of its own, which is filled up while the service runs
 FULL = """
@@ -127,6 +128,35 @@ def test_a_driver_or_a_part_of_the_main_thread_that_fails_is_a_fault_and_no_more
         # WHEN it is asked to end, THEN it ends
         service.send_signal(signal.SIGTERM)
         assert service.wait(timeout=60) == 0, "it ends although the driver does not"
+
+
+def test_a_service_whose_names_were_removed_says_so_and_takes_nothing_from_the_next(
+    make_service: Make,
+) -> None:
+    # GIVEN a service that a client uses
+    first, second = make_service().start(), make_service()
+    second.name = first.name
+    with first.attach() as client:
+        # WHEN somebody removes its names, THEN it names them and the remedy, and goes on
+        removed = objects_of(first.name)
+        for name in removed:
+            unlink(name)
+        told = until(
+            lambda: (text := client.status()["main"]["text"]) and "/dev/shm has lost" in text and text,
+            "the fault",
+        )
+        assert all(name in told for name in removed)
+        assert f"end it (kill {first.pid}) and start it again" in told
+        goes_on(client)
+    # AND WHEN it ends while another service of the name runs
+    second.start()
+    names = objects_of(second.name)
+    assert first.terminate() == 0
+    # THEN the other one keeps its names, and clients attach to it
+    assert objects_of(second.name) == names
+    with second.attach() as client:
+        goes_on(client)
+        assert "has lost" not in client.status()["main"]["text"]
 
 
 def test_a_part_that_fails_is_reported_once_and_latched_until_the_end() -> None:

@@ -92,7 +92,7 @@ def schema_from_text(text: str) -> type[Schema]:
     """
     try:
         return _from_plain(json.loads(text), 0)
-    except (ValueError, KeyError, TypeError, AttributeError) as e:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as e:
         raise SchemaError(f"the text declares no schema: {e!r}") from None
 
 

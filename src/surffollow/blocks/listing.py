@@ -13,7 +13,7 @@ from surffollow.blocks import layout as bl
 from surffollow.blocks.attached import AttachedBlock
 from surffollow.config.names import OBJECTS, check_name
 from surffollow.config.trusted_users import trusted_owners
-from surffollow.errors import BlockError, InvalidNameError, NotRunningError
+from surffollow.errors import BlockError, InvalidNameError, NoPermissionError, NotRunningError
 from surffollow.shm.objects import SHM_ROOT, SharedObject
 
 
@@ -56,10 +56,18 @@ def describe_block(block: AttachedBlock) -> dict[str, Any]:
     }
 
 
+def _object_names() -> list[str]:
+    try:
+        return sorted(os.listdir(SHM_ROOT))
+    except OSError as e:
+        remedy = "its usual mode is 1777 (ls -ld /dev/shm)"
+        raise NoPermissionError(f"cannot list {SHM_ROOT}: {e.strerror}; {remedy}") from None
+
+
 def unreadable_objects() -> list[dict[str, Any]]:
     """Shared objects of trusted users that may be blocks and that this user may not read: name and owner."""
     found = []
-    for name in sorted(os.listdir(SHM_ROOT)):
+    for name in _object_names():
         service, _, last = name.rpartition(".")
         if not service or last in OBJECTS or service == "sem":  # sem.…: a semaphore of the C library
             continue
@@ -74,7 +82,7 @@ def unreadable_objects() -> list[dict[str, Any]]:
 def list_blocks() -> list[dict[str, Any]]:
     """All blocks of trusted users that this user may read, by name."""
     found = []
-    for name in sorted(os.listdir(SHM_ROOT)):
+    for name in _object_names():
         with contextlib.suppress(InvalidNameError, NotRunningError, BlockError):
             block = attach_unknown(name)
             try:

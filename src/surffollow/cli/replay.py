@@ -9,6 +9,7 @@ from surffollow.cli.convert import report_damage
 from surffollow.cli.csv_replay import TABLES, output_suffix, replay_csv_command
 from surffollow.cli.option_types import COLUMNS, JSON, SERVICE_NAME, Finite, InputFile, OutputFile
 from surffollow.cli.progress import shows_compiling
+from surffollow.errors import escaped
 
 
 @click.command("replay")
@@ -160,7 +161,7 @@ def _play_live(file: str, name: str | None, as_json: bool) -> list[str]:
             f"({r.poses_refused} refused) in "
             f"{r.seconds:.1f} s, {r.cycles} cycles; {r.valid} of {r.poses} demands valid"
             + ("" if r.finished else "; ended early")
-            + (f"; recovered from a damaged file: {r.recovered}" if r.recovered else "")
+            + (f"; recovered from a damaged file: {escaped(r.recovered)}" if r.recovered else "")
         )
     return [f"{file}: not played: {listed(r.left_out)}"] if r.left_out else []
 
@@ -224,4 +225,4 @@ def report_text(file: str, report: object) -> str:
         lines.append(f"identical: every demand and status, and {r.snapshots} snapshots, bit for bit")
     if r.note:
         lines.append(f"note: {r.note}")
-    return "\n".join(lines)
+    return escaped("\n".join(lines))  # the file's author chose some of these texts

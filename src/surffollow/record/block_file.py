@@ -14,7 +14,8 @@ from typing import Any
 from surffollow.blocks import AttachedBlock
 from surffollow.blocks.layout import schema_from_text, schema_text
 from surffollow.blocks.listing import attach_unknown
-from surffollow.errors import RecordingError, SchemaError, UsageError
+from surffollow.config.names import check_name
+from surffollow.errors import InvalidNameError, RecordingError, SchemaError, UsageError
 from surffollow.record import foxglove as fx
 from surffollow.record.mcap_reader import CHANNEL, MESSAGE, MESSAGE_HEAD, Damage, McapReader
 from surffollow.record.mcap_records import read_channel
@@ -161,11 +162,11 @@ class BlockFile(McapReader):
 
         Raises
         ------
-        RecordingError  no publication in it
+        RecordingError  no publication in it, or a declaration that is none
         """
         kinds: dict[int, tuple[str, Message, type[Schema]]] = {}
-        rows: dict[str, list[dict[str, Any]]] = {}
-        columns: dict[int, list[str]] = {}
+        declared: dict[str, int] = {}
+        rows: dict[str, list[list[Any]]] = {}
         for opcode, body in self.records():
             if opcode == CHANNEL:
                 number, _, topic, _, about = read_channel(body)
@@ -174,17 +175,35 @@ class BlockFile(McapReader):
                         schema = schema_from_text(about[DECLARATION])
                     except SchemaError as e:
                         raise RecordingError(f"{self.path}: {e}") from None
-                    kinds[number] = topic.removeprefix("/blocks/"), block_message(schema), schema
-                    columns[number] = _columns(schema)
+                    name = self._block_name(topic)
+                    if declared.setdefault(name, schema.HASH) != schema.HASH:
+                        raise RecordingError(f"{self.path} declares the block {name} in two ways")
+                    kinds[number] = name, block_message(schema), schema
             elif opcode == MESSAGE:
                 number = int.from_bytes(body[:2], "little")
                 if number in kinds:
                     name, kind, schema = kinds[number]
-                    values = kind.decode(bytes(body[MESSAGE_HEAD.size :]))
-                    rows.setdefault(name, []).append(dict(zip(columns[number], _row(schema, values))))
+                    try:
+                        row = _row(schema, kind.decode(bytes(body[MESSAGE_HEAD.size :])))
+                    except ValueError as e:
+                        self.damage.add(f"a publication of {name} cannot be read: {e}", lost_bytes=len(body))
+                        continue
+                    rows.setdefault(name, []).append(row)
         if not rows:
-            raise RecordingError(f"{self.path} holds no publication of a block")
-        return {name: {k: [row[k] for row in found] for k in found[0]} for name, found in rows.items()}
+            why = f" ({self.damage})" if self.damage else ""
+            raise RecordingError(f"{self.path} holds no publication of a block{why}")
+        # not before: a declaration may have more columns than the memory has room for
+        columns = {name: _columns(schema) for name, _, schema in kinds.values() if name in rows}
+        return {name: dict(zip(columns[name], map(list, zip(*found)))) for name, found in rows.items()}
+
+    def _block_name(self, topic: str) -> str:
+        """The block that a topic names; it becomes a part of a file's name."""
+        name = topic.removeprefix("/blocks/")
+        try:
+            check_name(name)
+        except InvalidNameError as e:
+            raise RecordingError(f"{self.path} holds a block whose {e}") from None
+        return name
 
 
 def _columns(schema: type[Schema]) -> list[str]:
@@ -213,21 +232,28 @@ def _leaf_names(schema: type[Schema], plain: str, exact: str) -> Iterator[tuple[
 
 
 def _row(schema: type[Schema], values: dict[str, Any]) -> list[Any]:
-    """Values of the columns."""
+    """Values of the columns.
+
+    Raises
+    ------
+    ValueError  an array has not the declared number of items
+    """
     own = {f.name for f in schema.FIELDS}
     return [*(values.get(f.name, 0) for f in _BEFORE[1:] if f.name not in own), *_leaves(schema, values)]
 
 
 def _leaves(schema: type[Schema], values: dict[str, Any]) -> Iterator[Any]:
     for f in schema.FIELDS:
-        value = values.get(f.name)
+        value: Any = values.get(f.name)
+        is_array = f.count > 1 and not f.is_text
+        if is_array and len(value or ()) != f.count:
+            raise ValueError(f"{f.name} has {len(value or ())} items; {f.count} are declared")
         if f.nested is not None:
-            items = (value or [{}] * f.count) if f.count > 1 else [value or {}]
-            for item in items:
+            for item in value if is_array else [value or {}]:
                 yield from _leaves(f.nested, item)
         elif f.is_text:
             yield value or ""
-        elif f.count > 1:
-            yield from value or [0] * f.count
+        elif is_array:
+            yield from value
         else:
             yield value if value is not None else 0

@@ -47,8 +47,15 @@ _WHOLE = np.array(
     np.int64,
 )
 
-# the state's number that indexes arrays as it is: word after those of the parameters
-_REFERENCE = FollowState.offset("adaptive", "beams", "reference") // 8
+# numbers of the state that index arrays as they are, or whose overflow ends no loop: as above, behind the
+# words of the parameters
+_STATE = np.array(
+    [
+        [PARAMS_WORDS + FollowState.offset("adaptive", "beams", "reference") // 8, 0, CHANNELS - 1],
+        [PARAMS_WORDS + FollowState.offset("sense", "pose_count") // 8, 0, 1 << 62],
+    ],
+    np.int64,
+)
 
 # results of a walk, int64 each
 (
@@ -147,15 +154,20 @@ def same_words(a: Any, b: Any) -> Any:
 
 
 @jit
-def numbers_in_bounds(words: Any, at: Any) -> Any:
-    """Whether the PARAMS or SNAPSHOT entry at `at` keeps every kernel inside its arrays and its time."""
-    snapshot = entry_kind(words[at]) == SNAPSHOT
-    if snapshot and not 0 <= words[at + 2 + PARAMS_WORDS + _REFERENCE] < CHANNELS:
-        return False
-    for k in range(_WHOLE.shape[0]):  # noqa: SIM110 - numba has no all() over a generator
-        if not _WHOLE[k, 1] <= words[at + 2 + _WHOLE[k, 0]] <= _WHOLE[k, 2]:
+def are_within(words: Any, at: Any, bounds: Any) -> Any:
+    """Whether the entry at `at` keeps the bounds (n, 3): word after its second, least, most."""
+    for k in range(bounds.shape[0]):  # noqa: SIM110 - numba has no all() over a generator
+        if not bounds[k, 1] <= words[at + 2 + bounds[k, 0]] <= bounds[k, 2]:
             return False
     return True
+
+
+@jit
+def numbers_in_bounds(words: Any, at: Any) -> Any:
+    """Whether the PARAMS or SNAPSHOT entry at `at` keeps every kernel inside its arrays and its time."""
+    return are_within(words, at, _WHOLE) and (
+        entry_kind(words[at]) != SNAPSHOT or are_within(words, at, _STATE)
+    )
 
 
 @jit

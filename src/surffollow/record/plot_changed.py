@@ -39,7 +39,7 @@ def plot_changed(path: str | Path, report: ChangedReplay, outcomes: Outcomes, ou
         axes = fg.time_axes(figure, [grid[k, 0] for k in range(3)])
         changed = ", ".join(f"{p.name} = {p.value:g}" for p in report.parameters)
         title = f"{name_text(path)} with {changed} (open loop: poses as recorded)"
-        figure.suptitle(title, x=0.02, ha="left", fontsize=9, wrap=True)
+        figure.suptitle(title, x=0.02, ha="left", fontsize=9, wrap=True, parse_math=False)
         _draw_demands(axes[0], report, outcomes)
         _draw_difference(axes[1], report, outcomes)
         _draw_states(axes[2], outcomes)

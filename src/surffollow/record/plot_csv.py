@@ -45,7 +45,7 @@ def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | P
         grid = figure.add_gridspec(4, 2, height_ratios=(1.2, 1.0, 1.0, 1.1))
         axes = fg.time_axes(figure, [grid[k, :] for k in range(3)])
         t = replay.log.elapsed_s()
-        figure.suptitle(_headline(file, replay), x=0.02, ha="left", fontsize=9)
+        figure.suptitle(_headline(file, replay), x=0.02, ha="left", fontsize=9, parse_math=False)
         _draw_ground(axes[0], t, replay, columns)
         _draw_readings(axes[1], t, replay)
         pairs = pair_forecasts(replay, columns, 0)
@@ -94,7 +94,7 @@ def _draw_ground(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Co
     draw_series(ax, drawn_series(t, ground * factor), fg.GREY, "target points", style=".")
     draw_series(ax, drawn_series(t, replay.height_m * factor), fg.INK, "surface, as the follower has it")
     if reference is not None and columns.reference is not None:
-        label = f"reference: {columns.reference.column}"
+        label = "reference: " + columns.reference.column.replace("$", r"\$")  # no formula
         draw_series(ax, drawn_series(t, reference * factor), fg.GREEN, label)
     draw_series(ax, drawn_series(t, vehicle * factor), fg.BLUE, "vehicle", lw=1.0)
     fg.mark_outliers(ax, t, ground * factor, odd)

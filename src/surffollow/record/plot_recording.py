@@ -38,7 +38,7 @@ def plot_recording(path: str | Path, out: str | Path, progress: Any = None) -> l
         figure = fg.new_figure()
         grid = figure.add_gridspec(5, 2, height_ratios=(1.15, 1.0, 1.0, 0.5, 1.25))
         axes = fg.time_axes(figure, [grid[k, :] for k in range(4)])
-        figure.suptitle(_headline(path, data), x=0.02, ha="left", fontsize=9)
+        figure.suptitle(_headline(path, data), x=0.02, ha="left", fontsize=9, parse_math=False)
         _draw_ground(axes[0], data)
         _draw_error(axes[1], data)
         _draw_forecast(axes[2], data)

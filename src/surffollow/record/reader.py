@@ -153,7 +153,7 @@ def _check_layout(path: Path, text: bytes) -> dict[str, Any]:
         made_by = layout.get("surffollow", "unknown")
         about = layout.setdefault("about", {})
         texts = isinstance(about, dict) and all(isinstance(v, str) for v in about.values())
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         texts = False
     if not texts:
         raise RecordingError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +35,7 @@ from surffollow.shm.layout_follow import FollowState, Inputs, Output, Params
 
 # words stepped in one call of the kernel: many batches, and they stay in the cache
 _RUN_WORDS = 1 << 17
+_COUNT = re.compile("[0-9]{1,19}")
 
 
 @dataclass
@@ -241,10 +243,10 @@ def _conclude(report: ReplayReport, segments: _Segments, reader: RecordingReader
     # a recovered file lists what its source had lost
     report.recovered = reader.recovered.get("damage", "")
     before = reader.summary.get("lost_bytes", "0")
-    report.lost_bytes = reader.damage.lost_bytes + (int(before) if before.isdigit() else 0)
+    report.lost_bytes = reader.damage.lost_bytes + (int(before) if _COUNT.fullmatch(before) else 0)
     for name in ("lost_cycles", "lost_words", "losses", "restarts"):
         value = reader.summary.get(name, "0")
-        setattr(report, name, int(value) if value.isdigit() else 0)
+        setattr(report, name, int(value) if _COUNT.fullmatch(value) else 0)
     if report.complete and reader.summary.get("cycles") != str(report.cycles):
         report.complete = False
         report.damage = f"the recorder counted {reader.summary.get('cycles')} cycles"

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from mcap.writer import CompressionType, Writer
 
 from surffollow.errors import FaultError
+from surffollow.map.formats.atomic_file import behind_links, stranger_in_shared_folder
 from surffollow.record.format import (
     CHUNK_BYTES,
     CLOCK_NAME,
@@ -210,8 +211,14 @@ def _opened(path: Path, force: bool) -> io.FileIO:
     ------
     BlockingIOError
         another recorder holds it
+    FaultError
+        it is a link or a file of another user in a shared folder, who could change what is written
     """
-    flags = os.O_WRONLY | os.O_CREAT | (0 if force else os.O_EXCL)
+    if force:
+        path = behind_links(path)
+        if os.path.lexists(path) and (owner := stranger_in_shared_folder(path)) >= 0:
+            raise FaultError(f"recording {path} is a file of user {owner}; choose another --out")
+    flags = os.O_WRONLY | os.O_CREAT | (os.O_NOFOLLOW if force else os.O_EXCL)
     stream = open(path, "wb", buffering=0, opener=lambda name, _: os.open(name, flags, 0o666))  # noqa: SIM115
     try:
         fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -257,7 +257,7 @@ class CalibrationMatrix:
                 raise ValueError(f"its matrix has shape {made.values_m.shape}, its mask {made.inside.shape}")
             if made.outside not in OUTSIDE or not np.isfinite(made.values_m).all():
                 raise ValueError("its policy or its values cannot be")
-        except (OSError, ValueError, KeyError, TypeError) as e:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as e:
             raise ScanFileError(f"cannot read the calibration {path}: {e}") from e
         return made
 

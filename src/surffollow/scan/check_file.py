@@ -236,7 +236,7 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Array
             raise ValueError(f"two columns are called {', '.join(twice)}")
         rows = list(reader)
         columns = {name: np.array([float(r[name]) for r in rows]) for name in rows[0]}
-    except (OSError, ValueError, TypeError, IndexError, KeyError) as e:
+    except (OSError, ValueError, TypeError, IndexError, KeyError, RecursionError) as e:
         raise ScanFileError(f"cannot read {path} as a path file: {e!r}") from e
     missing = [name for name in COLUMNS if name not in columns]
     if missing:

@@ -146,7 +146,8 @@ def _tiff(path: Path) -> tuple[Floats, str]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as source:
+            # files of other drivers may name further files and network addresses to read
+            with rasterio.open(path, driver="GTiff") as source:
                 band = source.read(1, masked=True)
             if band.dtype.kind not in "biuf":
                 raise ScanFileError(f"{path} has the type {band.dtype}; expected real numbers")

@@ -202,8 +202,9 @@ def read_path(path: str | os.PathLike[str]) -> ScanPath:
         if equals:
             try:
                 facts[key.strip()] = json.loads(value)
-            except ValueError as e:
-                raise ScanFileError(f"{path}: the fact {key.strip()} is no JSON: {value.strip()}") from e
+            except (ValueError, RecursionError) as e:
+                shown = value.strip()[:80]
+                raise ScanFileError(f"{path}: the fact {key.strip()} is no JSON: {shown}") from e
     if facts.pop("format", None) != FORMAT:
         raise ScanFileError(f"{path} is no path file of this version; expected the format {FORMAT}")
     _check_facts(path, facts)

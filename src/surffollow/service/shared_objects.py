@@ -28,7 +28,9 @@ from surffollow.service.stale_objects import clear_stale
 from surffollow.shm import board_regions
 from surffollow.shm import layout_board as lb
 from surffollow.shm import map_layout as ml
+from surffollow.shm.checked_open import leads_to
 from surffollow.shm.dtypes import numpy_dtype, zeros
+from surffollow.shm.name_lock import ENDING as LOCK_ENDING
 from surffollow.shm.name_lock import NameLock
 from surffollow.shm.objects import SharedObject, unlink
 from surffollow.shm.process import boot_id, own_pid, start_ticks
@@ -51,6 +53,7 @@ class SharedObjects:
     ) -> None:
         self.config, self.board, self.map = config, board, map_
         self.lock, self.slots, self.listener = lock, slots, listener
+        self._socket = os.lstat(socket_path(config.name))
         self.map_is_new = False  # made by this start, which has not been ready yet
         self.regions = board_regions.board_regions(config.log_words)
         self.board_bytes = np.frombuffer(board.memory, np.uint8)
@@ -80,12 +83,36 @@ class SharedObjects:
             self.map_is_new = False
         store_release(int(self.board_bytes.ctypes.data) + lb.BoardHeader.offset("state"), state)
 
+    def check_names(self) -> None:
+        """Make sure that the names in /dev/shm still lead to this service.
+
+        Raises
+        ------
+        BlockError  somebody removed or replaced some: new clients and commands do not find the service
+        """
+        current = {
+            self.board.name: self.board.is_current(),
+            self.map.name: self.map.is_current(),
+            socket_path(self.config.name).name: leads_to(socket_path(self.config.name), self._socket),
+            self.lock.name + LOCK_ENDING: self.lock.is_current(),
+        }
+        lost = [name for name, is_current in current.items() if not is_current]
+        if lost:
+            raise BlockError(
+                f"/dev/shm has lost {', '.join(lost)} (rm, or RemoveIPC of logind): new clients and "
+                f"`surffollow stop` do not find this service; end it (kill {os.getpid()}) and start it again"
+            )
+
     def leave(self) -> None:
-        """Unlink board and socket and give up the name; the map stays, unless a refused start made it."""
+        """Unlink board and socket and give up the name; the map stays, unless a refused start made it.
+
+        What a later service of the name made stays.
+        """
         Disposal().part_listener(self.listener)
-        for part in (socket_path(self.config.name).name, self.board.name):
-            if part != self.board.name or self.board.is_current():
-                unlink(part)
+        if leads_to(socket_path(self.config.name), self._socket):
+            unlink(socket_path(self.config.name).name)
+        if self.board.is_current():
+            unlink(self.board.name)
         if self.map_is_new and self.map.is_current():
             unlink(self.map.name)
         self.lock.release()

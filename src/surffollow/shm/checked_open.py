@@ -68,6 +68,14 @@ def open_plain(path: Path, flags: int, *, owners: Collection[int] = ()) -> tuple
     return fd, status
 
 
+def leads_to(path: Path, found: os.stat_result) -> bool:
+    """Whether a name leads to this very file still."""
+    try:
+        return os.path.samestat(os.lstat(path), found)
+    except OSError:
+        return False
+
+
 def read_head(path: Path, size: int, *, owners: Collection[int] = ()) -> tuple[bytes, int]:
     """Read the beginning of a shared-memory object without mapping it.
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from surffollow.config.trusted_users import UNMAPPED_USER, own_user
 from surffollow.errors import BlockError, NoPermissionError
-from surffollow.shm.checked_open import open_plain
+from surffollow.shm.checked_open import leads_to, open_plain
 from surffollow.shm.locks import FileLock
 from surffollow.shm.objects import SHM_ROOT
 from surffollow.shm.process import belongs_to, is_running, own_pid, start_ticks
@@ -54,14 +54,11 @@ class NameLock:
                 if not lock.exclusive(_BYTE):
                     lock.close()
                     return None
-                found = os.fstat(fd)
-                with contextlib.suppress(FileNotFoundError):
-                    there = os.lstat(path)
-                    if (there.st_dev, there.st_ino) == (found.st_dev, found.st_ino):
-                        with contextlib.suppress(OSError):  # a full /dev/shm: the pid only serves messages
-                            os.ftruncate(fd, 0)
-                            os.pwrite(fd, f"{own_pid()} {start_ticks(own_pid())}\n".encode(), 0)
-                        return cls(name, lock)
+                if leads_to(path, os.fstat(fd)):
+                    with contextlib.suppress(OSError):  # a full /dev/shm: the pid only serves messages
+                        os.ftruncate(fd, 0)
+                        os.pwrite(fd, f"{own_pid()} {start_ticks(own_pid())}\n".encode(), 0)
+                    return cls(name, lock)
                 lock.close()  # its last owner removed it between our open and our lock
             except BaseException:
                 lock.close()
@@ -84,12 +81,14 @@ class NameLock:
         """Give the name back and remove the file."""
         if not self.held:
             return
-        path, found = SHM_ROOT / (self.name + ENDING), os.fstat(self._lock.fd)
         with contextlib.suppress(OSError):
-            there = os.lstat(path)
-            if (there.st_dev, there.st_ino) == (found.st_dev, found.st_ino):
-                os.unlink(path)
+            if self.is_current():
+                os.unlink(SHM_ROOT / (self.name + ENDING))
         self._lock.close()
+
+    def is_current(self) -> bool:
+        """Whether the name of the file still leads to the one that is locked."""
+        return leads_to(SHM_ROOT / (self.name + ENDING), os.fstat(self._lock.fd))
 
     @contextlib.contextmanager
     def released_on_error(self) -> Iterator[NameLock]:

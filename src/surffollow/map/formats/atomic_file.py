@@ -81,25 +81,27 @@ def _names(path: FilePath) -> tuple[Path, Path]:
     if os.path.exists(target) and not os.path.isfile(target):
         # renaming over a device or a pipe would take its place
         raise MapFileError(f"{target} is there and is no plain file; choose another name")
-    target = _behind_links(target)
+    target = behind_links(target)
     # a name as long as the file system takes has a shorter temporary one
     return target, target.with_name(f".{target.name[:50]}.{secrets.token_hex(8)}{target.suffix[-50:]}")
 
 
-def _behind_links(path: Path) -> Path:
+def behind_links(path: Path) -> Path:
     """The file that a name leads to, by the links that the kernel follows (`fs.protected_symlinks`).
 
     In a folder such as /tmp another user's link does not choose which file of ours is replaced. The kernel
     sees no link, because the file is renamed to what it leads to.
+
+    Raises
+    ------
+    MapFileError  a link of another user in a shared folder, or one that leads nowhere
     """
     target = path
     for _ in range(_LINKS):
         try:
             if not os.path.islink(target):
                 return target
-            owner, folder = os.lstat(target).st_uid, os.stat(target.parent)
-            shared = folder.st_mode & _SHARED == _SHARED
-            if shared and owner not in (os.geteuid(), folder.st_uid):
+            if (owner := stranger_in_shared_folder(target)) >= 0:
                 raise MapFileError(
                     f"cannot write {path}: {target} is a link of user {owner}; choose another name"
                 )
@@ -107,6 +109,13 @@ def _behind_links(path: Path) -> Path:
         except OSError as e:
             raise MapFileError(f"cannot write {path}: {e.strerror or e}; choose another name") from e
     raise MapFileError(f"cannot write {path}: it leads through too many links; choose another name")
+
+
+def stranger_in_shared_folder(target: Path) -> int:
+    """The owner of a link or file in a folder such as /tmp, neither this user nor that of the folder; -1."""
+    owner, folder = os.lstat(target).st_uid, os.stat(target.parent)
+    shared = folder.st_mode & _SHARED == _SHARED
+    return owner if shared and owner not in (os.geteuid(), folder.st_uid) else -1
 
 
 def _make(target: Path, temporary: Path) -> None:

@@ -19,6 +19,7 @@ from surffollow.extras import install_command
 from surffollow.map import access
 from surffollow.map.formats.atomic_file import FilePath, Progress, replacing, report
 from surffollow.map.formats.raster import Raster
+from surffollow.map.formats.text_reader import MAX_GRIDS
 from surffollow.units import unit_scale
 
 _UNIT_NAMES = {
@@ -127,7 +128,11 @@ def read_geotiff(path: FilePath) -> Raster:
     """
     rasterio = _rasterio()
     try:
-        with _quiet(), rasterio.open(path) as source:
+        # files of other drivers than GeoTIFF may name further files and network addresses to read
+        with _quiet(), rasterio.open(path, driver="GTiff") as source:
+            if source.width * source.height > MAX_GRIDS:
+                size = f"{source.width} × {source.height}"
+                raise MapFileError(f"{path} has {size} cells; a map has at most {MAX_GRIDS:g}: cut it")
             t = source.transform
             _check_places(path, source.crs, rasterio.errors.CRSError)
             scale, offset = float(source.scales[0]), float(source.offsets[0])

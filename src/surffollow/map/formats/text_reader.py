@@ -22,6 +22,7 @@ from surffollow.shm import map_layout as ml
 from surffollow.shm.dtypes import zeros
 
 FIRST_LINE = "surffollow-map 1"
+MAX_GRIDS = 10**9
 _HEAD_LINE = 4096
 _LONGEST_NUMBER = 24  # characters of a value, or of value*times, and the space behind it
 REAL = ("grid_m", "x0_m", "y0_m", "datum_m", "quantum_m", "finest_grid_m", "gate_m")
@@ -138,7 +139,7 @@ class Reader:
             raise self.fail(f"'{value}' is not a value for {key}") from e
 
     def _check(self, w: Any, nx: int, ny: int, capacity: int) -> None:
-        if nx < 1 or ny < 1 or nx * ny > 10**9:
+        if nx < 1 or ny < 1 or nx * ny > MAX_GRIDS:
             raise self.fail(f"a map has 1 … 1e9 grids, this one has {nx} × {ny}")
         # before memory for a billion grids is touched: a row takes four characters or more, if it has
         # so many grids, and there are two parts
