@@ -80,6 +80,7 @@ def test_serial_states_from_waiting_to_running_garbled_silent_unplugged_and_back
         until(lambda: sends(line(0.2), RUNNING), "recovery")
         until(lambda: driver.state == SILENT, "silence told")
         assert "nothing was received" in driver.faults()[0]
+        assert "silence_s is 100 ms" in driver.faults()[0]
         tty.unplug()
         until(lambda: driver.state == WAITING, "unplugging told")
         assert str(tty.path) in driver.faults()[0]

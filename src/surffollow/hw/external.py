@@ -133,7 +133,8 @@ class ExternalDriver:
         silent_ns = now_ns - max(since_ns, self._word("received_ns", channel))
         if silent_ns <= self._silence_ns:
             return ""
-        return f"channel {channel}: its client has pushed no range for {format_ns(silent_ns)}"
+        limit = f"silence_s is {format_ns(self._silence_ns)}; a sensor that reads seldom needs more"
+        return f"channel {channel}: its client has pushed no range for {format_ns(silent_ns)} ({limit})"
 
     def _word(self, name: str, index: int = 0) -> int:
         return int(load_acquire(self.pushed.ctypes.data + PushedRanges.offset(name) + 8 * index))

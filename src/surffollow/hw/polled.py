@@ -165,7 +165,8 @@ class PolledDriver:
             now_ns = time.monotonic_ns()
             if state == SILENT:
                 since = format_ns(now_ns - self._received_ns)
-                return [f"{name}: connected, but nothing was received for {since}"]
+                limit = f"silence_s is {format_ns(self._silence_ns)}; a sensor that reads seldom needs more"
+                return [f"{name}: connected, but nothing was received for {since} ({limit})"]
             since = format_ns(now_ns - self._good_ns)
             good = f"the last good one {since} ago" if self._good_ns else "none good"
             return [
