@@ -195,9 +195,7 @@ VARIANTS: dict[str, list[tuple[str, str, str]]] = {
         ("setpoint_blend", "        z = max(z, blend.tracked_m - MAX_UNCONFIRMED_DESCENT_M)", "        pass")
     ],
     "test of the response": [("response", "if late or far or sign == layout.SIGN_FOR_HOLD:", "if False:")],
-    "heights by the axis model": [
-        ("plant_identification", "0.0 < plant.scatter_m <", "0.0 > plant.scatter_m <")
-    ],
+    "heights by the axis model": [("observed_axis", "0.0 < plant.scatter_m <", "0.0 > plant.scatter_m <")],
     "disturbance of the axis": [
         ("plant_identification", "AXIS_GAINS = (0.3, 2.0, 0.1)", "AXIS_GAINS = (0.3, 2.0, 0.0)")
     ],

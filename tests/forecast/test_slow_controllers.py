@@ -13,12 +13,9 @@ import pytest
 
 from forecast.driving import MS, Kernel, default_params
 from surffollow.benchmark.job_loop import Job, follow
+from surffollow.forecast.plant.observed_axis import height_is_known, predict_pose
 from surffollow.forecast.plant.own_setpoints import record_own_setpoint, setpoint_in_force
-from surffollow.forecast.plant.plant_identification import (
-    height_is_known,
-    predict_pose,
-    reset_axes,
-)
+from surffollow.forecast.plant.plant_identification import reset_axes
 from surffollow.forecast.pose import push_pose
 from surffollow.forecast.sensing.kinematics import update_kinematics
 from surffollow.shm.dtypes import zeros

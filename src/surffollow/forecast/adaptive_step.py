@@ -12,6 +12,7 @@ from surffollow.forecast.modes import orients
 from surffollow.forecast.plant import (
     axis_model,
     controller_clock,
+    observed_axis,
     own_setpoints,
     plant_identification,
     shadow_axes,
@@ -60,7 +61,7 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
     under_tool_m = adaptive.estimate.arc_length_m + ahead_m
     known_periods = preview.collect_preview(adaptive, inputs, under_tool_m, since_pose_m)
     if preview.update_share(adaptive, known_periods):
-        z, v = plant_identification.predict_axis(params, adaptive, latch_ns)
+        z, v = observed_axis.predict_axis(params, adaptive, latch_ns)
         preview.extrapolate_ground(adaptive, known_periods, ahead_m)
         standoff_m += tested_setpoint.setpoint_shift_m(adaptive.response)
         preview_control.plan_setpoint(params, adaptive, known_periods, z, v, standoff_m)

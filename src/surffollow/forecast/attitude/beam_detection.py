@@ -20,7 +20,7 @@ from surffollow.forecast.attitude.plane_regression import (
     plausible_bend_m,
 )
 from surffollow.forecast.estimation.noise import estimated_range_noise_m
-from surffollow.forecast.plant.plant_identification import predict_pose
+from surffollow.forecast.plant.observed_axis import predict_pose
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit

@@ -7,7 +7,7 @@ from surffollow.forecast import elementary, fold_back
 from surffollow.forecast.attitude import beam_detection, plane_fit, rotation_response
 from surffollow.forecast.estimation import estimate
 from surffollow.forecast.modes import orients
-from surffollow.forecast.plant.plant_identification import height_is_known, predict_pose
+from surffollow.forecast.plant.observed_axis import height_is_known, predict_pose
 from surffollow.forecast.pose import footprint, newest_pose
 from surffollow.forecast.quantities import follow_usual
 from surffollow.forecast.sensing import (

@@ -5,7 +5,7 @@ while channel 0 leads itself: nothing under the tool would check them.
 """
 
 from surffollow.forecast.modes import orients
-from surffollow.forecast.plant.plant_identification import predict_pose
+from surffollow.forecast.plant.observed_axis import predict_pose
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.quantities import APART_M, LONG_GAP_NS, PLAUSIBLE_SLOPE
 from surffollow.forecast.sensing.kinematics import distance_along, is_at_rest
