@@ -56,8 +56,7 @@ class CsvLog:
 
     def has_pose(self) -> NDArray[np.bool_]:
         """Which rows have a pose, (n,)."""
-        has: NDArray[np.bool_] = np.isfinite(self.pose).all(axis=1)
-        return has
+        return ~np.isnan(self.pose[:, 0])
 
     def slack_s(self) -> float:
         """By how much times may be off [s]: a nanosecond, or the resolution of a float64 at these times."""
