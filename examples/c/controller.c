@@ -63,9 +63,11 @@ static void move_to(double path_m, double z_m) {
 int main(int argc, char **argv) {
   const char *name = argc > 1 ? argv[1] : "surf";
   double seconds = 20.0;
-  if (argc > 4 || (argc > 2 && !read_seconds(argv[2], &seconds))) {
-    fprintf(stderr, "usage: %s [service [seconds [trace.csv]]]; seconds: more than 0, at most 1e6\n", argv[0]);
-    return 2;
+  const int help = strcmp(name, "--help") == 0 || strcmp(name, "-h") == 0;
+  if (help || name[0] == '-' || argc > 4 || (argc > 2 && !read_seconds(argv[2], &seconds))) {
+    fprintf(help ? stdout : stderr, "usage: %s [service [seconds [trace.csv]]]; seconds: more than 0, at most 1e6\n",
+            argv[0]);
+    return help ? 0 : 2;
   }
   struct sigaction action;
   memset(&action, 0, sizeof action);

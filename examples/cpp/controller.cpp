@@ -186,14 +186,16 @@ std::optional<double> read_seconds(const char *text) {
 
 int main(int argc, char **argv) {
   std::signal(SIGINT, [](int) { stop = 1; });
+  const std::string name = argc > 1 ? argv[1] : "surf";
+  const bool help = name == "--help" || name == "-h";
   const auto seconds = argc > 2 ? read_seconds(argv[2]) : 20.0;
-  if (argc > 5 || !seconds) {
-    std::cerr << "usage: " << argv[0] << " [service [seconds [map file [trace.csv]]]]; "
-                 "seconds: more than 0, at most 1e6\n";
-    return 2;
+  if (help || name[0] == '-' || argc > 5 || !seconds) {
+    (help ? std::cout : std::cerr) << "usage: " << argv[0] << " [service [seconds [map file [trace.csv]]]]; "
+                                      "seconds: more than 0, at most 1e6\n";
+    return help ? 0 : 2;
   }
   try {
-    return run(argc > 1 ? argv[1] : "surf", *seconds, argc > 3 ? argv[3] : "", argc > 4 ? argv[4] : "");
+    return run(name, *seconds, argc > 3 ? argv[3] : "", argc > 4 ? argv[4] : "");
   } catch (const Error &e) {
     std::cerr << "controller: " << e.what() << '\n';
     return 1;

@@ -95,6 +95,14 @@ def test_a_controller_without_a_valid_demand_says_why(language: str, bare: Servi
     assert "resets it (reset_stop(), in C sf_stop_reset)" in status
 
 
+@pytest.mark.parametrize("language", CONTROLLERS)
+def test_a_controller_has_a_usage_and_takes_no_option_for_a_name(language: str, tmp_path: Path) -> None:
+    program = CONTROLLERS[language][0](tmp_path)
+    for words, code in ((["--help"], 0), (["-h"], 0), (["--verbose"], 2)):
+        done = subprocess.run([*program, *words], capture_output=True, text=True, timeout=60.0)
+        assert (done.returncode, "usage: " in (done.stderr if code else done.stdout)) == (code, True)
+
+
 def test_the_example_draws_its_run(bare: Service, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     words = [*python(tmp_path), bare.name, "1", "--plot", str(tmp_path / "run.png")]

@@ -89,7 +89,7 @@ def test_semicolons_and_tabs_are_read_with_either_decimal_sign(
         ("n" * 100_000, r"it has n{200}…; change the column file"),
         (HEADER + "1," + "x" * 100_000 + ",0,0,0,0,0,0\n", r"line 2, column 'd': 'x{200}…' is not"),
         (HEADER + "1,2,0,0,0,0,0,0\n2,x,0,0,0,0,0,0\n", r"log\.csv, line 3, column 'd': 'x' is not"),
-        (HEADER + "1,2,0,0,0,0\n", r"log\.csv, line 2, column 'pitch': '' is not"),
+        (HEADER + "1,2,0,0,0,0\n", r"log\.csv: column 'pitch' has no value in any row; name another"),
         (HEADER + "1,2,0,0,0,0,0,0\n2,2,0,0,0,0,0,0,7,8\n", r"log\.csv, line 3: 10 values for 8 columns"),
         (HEADER.replace("roll", "d"), r"log\.csv has no column 'roll'"),
         ("d," + HEADER, r"log\.csv: column 'd' occurs more than once; rename the others"),

@@ -19,7 +19,7 @@ from surffollow.service.audit import BURST, CHANGED, KEPT, REFUSED, AuditTrail
 from surffollow.service.client_table import NAMES
 from surffollow.shm import layout_board as lb
 from surffollow.shm.dtypes import numpy_dtype
-from surffollow.shm.layout_follow import Params
+from surffollow.shm.layout_follow import STOP_DRIVER, STOP_RESTART, STOP_START, Params
 
 Make = Callable[..., Service]
 MAX_DEMAND = Params.offset("max_demand_m") // 8
@@ -135,6 +135,28 @@ def test_lines_of_changes_have_no_rate_and_every_line_that_is_dropped_is_counted
     change(trail, 1000.0, 0.05)
     trail.ask(5, result=lb.ERR_UNKNOWN_REQUEST)
     assert trail.trail.lost == 2
+
+
+def test_a_stop_for_the_driver_has_its_newest_fault_as_the_reason_also_when_that_is_over(
+    trail: Trail,
+) -> None:
+    trail.trail.publish("port: not there")
+    trail.trail.publish()
+    trail.ask(lb.RQ_STOP, slot=-1, detail=STOP_DRIVER)
+    trail.trail.publish("port: " + "é" * 100)
+    trail.ask(lb.RQ_STOP, slot=-1, detail=STOP_DRIVER | STOP_START)
+    trail.ask(lb.RQ_STOP, slot=-1, detail=STOP_START)
+    reasons = [e["reason"] for e in trail.shown()]
+    assert reasons[0] == "port: not there"
+    assert reasons[1] == "port: " + "é" * 27 + "…"
+    assert reasons[2] == ""
+    assert trail.lines[0][0].endswith('service: stop (driver) "port: not there": ok')
+
+
+def test_a_stop_from_before_the_start_says_so(trail: Trail) -> None:
+    trail.trail.note_start(STOP_DRIVER)
+    trail.trail.note_start(STOP_START | STOP_RESTART)
+    assert [e["reason"] for e in trail.shown()] == ["kept from before this start", ""]
 
 
 def test_a_change_between_two_floods_is_on_the_board_and_in_the_log(

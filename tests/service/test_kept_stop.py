@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -95,10 +96,13 @@ def test_an_end_says_that_a_stop_is_kept_and_the_next_start_says_why_it_is_stopp
         text := log.read_text()
     )
     assert "simulate --reset-stop" in text
-    assert f"audit: pid {killable.pid} uid {os.geteuid()} service: stop (request): ok" in text
+    entry_line = f"audit: pid {killable.pid} uid {os.geteuid()} service: stop (request) "
+    assert entry_line + '"kept from before this start": ok' in text
     with killable.observe() as watcher:
         (entry,) = watcher.audit()
         assert (entry["client"], entry["request"], entry["causes"]) == ("service", "stop", ["request"])
+    shown = killable.run("status").stdout
+    assert re.search(r"STOPPED  request; until .*\n +since .* request: kept from before this start\n", shown)
     # AND after a reset none of it
     with killable.attach() as driver:
         drive(driver, lambda: driver.status()["poses"] > 0, what="a pose")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -67,7 +68,13 @@ def test_any_client_stops_and_only_the_poses_holder_resets(following: Service) -
         other.stop("smoke over cell 3")
         # THEN no demand is valid, and nothing but a reset by the pose's holder changes that
         drive(driver, lambda: is_stopped(driver), what="the stop")
-        assert driver.status()["stopped"] == ["request"]
+        status = until(lambda: (s := driver.status())["stopped_by"] and s, "the trail")
+        assert status["stopped"] == ["request"]
+        (by,) = status["stopped_by"]
+        assert (by["client"], by["reason"], by["causes"]) == ("operator", "smoke over cell 3", ["request"])
+        shown = following.run("status").stdout
+        assert "sf_stop_reset, surffollow simulate --reset-stop)\n         since 2" in shown
+        assert f" request by operator, pid {os.getpid()}: smoke over cell 3\n" in shown
         with pytest.raises(RefusedError, match="sends the pose") as refused:
             other.reset_stop()
         assert refused.value.code == lb.ERR_NOT_POSE_HOLDER
@@ -80,7 +87,7 @@ def test_any_client_stops_and_only_the_poses_holder_resets(following: Service) -
         driver.reset_stop()
         # THEN demands are valid again
         drive(driver, lambda: valid(driver), what="a demand after the reset")
-        assert driver.status()["stopped"] == []
+        assert (driver.status()["stopped"], driver.status()["stopped_by"]) == ([], [])
 
         # THEN the audit trail tells of all three requests
         def requests() -> list[dict[str, object]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 
 import click
 import pytest
@@ -66,6 +67,25 @@ def test_stop_of_another_users_service_says_whose_it_is(own_service: Service) ->
     said = as_other_user(stop)
     assert said.startswith("NotRunningError: no service")
     assert "of this user is running; the lock file of that name belongs to another user (1)" in said
+
+
+@needs_root
+def test_stop_by_a_user_who_may_not_look_into_the_folder_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    folder = tmp_path / "shm"
+    folder.mkdir(mode=0o700)
+    for module in ("surffollow.shm.name_lock", "surffollow.service.stale_objects", "surffollow.shm.objects"):
+        monkeypatch.setattr(f"{module}.SHM_ROOT", folder)
+
+    def stop(_: OtherUser) -> str:
+        return outcome(lambda: stop_command.main(["--name", "away"], standalone_mode=False))
+
+    said = as_other_user(stop)
+    assert said.startswith(
+        f"NoPermissionError: cannot see whether service 'away' runs: user {NOBODY} may not"
+    )
+    assert f"chmod 1777 {folder}" in said
 
 
 def test_a_start_under_the_name_of_a_block_says_that_it_is_one() -> None:

@@ -68,16 +68,24 @@ def check_holder_is_here(lock: str, what: str) -> None:
     ------
     ServiceError
         it runs elsewhere, or belongs to root or the user of SURFFOLLOW_OWNER
+    NoPermissionError
+        this user may not look for it
     NotRunningError
         the name's lock file is a stranger's
     """
     from surffollow.config.trusted_users import trusted_owners
-    from surffollow.errors import NotRunningError, ServiceError
+    from surffollow.errors import NoPermissionError, NotRunningError, ServiceError
     from surffollow.shm.name_lock import holder, lock_owner, settled_holder
+    from surffollow.shm.objects import SHM_ROOT
 
     if holder(lock) >= 0:
         return
     owner, me = lock_owner(lock), os.geteuid()
+    if owner < 0 and holder(lock) < 0:  # it did not end meanwhile
+        raise NoPermissionError(
+            f"cannot see whether {what} runs: user {me} may not look into {SHM_ROOT}; let root open it to "
+            f"all users (chmod 1777 {SHM_ROOT}), or run as its owner"
+        )
     if me not in (owner, 0):
         whose = f"belongs to another user ({owner})"
         if owner in trusted_owners():

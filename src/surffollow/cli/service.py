@@ -156,8 +156,9 @@ def purge_leftovers(name: str) -> tuple[bool, str]:
     owner = kept_stop_owner(name)
     whose = "" if owner == own_user() else f" by user {owner}"
     return removed, (
-        f"; {stop.text()} is kept for the next start{whose}: the pose's holder resets it there, or remove "
-        f"/dev/shm/{name}.stop when no robot follows that service"
+        f"; {stop.text()} is kept for the next start{whose}: the pose's holder resets it there "
+        f"(reset_stop(), in C sf_stop_reset), or remove /dev/shm/{name}.stop when no robot follows that "
+        "service"
     )
 
 
@@ -172,4 +173,7 @@ def kept_for_next_start(name: str) -> str:
         return ""
     if not stop.causes:
         return ""
-    return f"; {stop.text()} is kept for the next start: the pose's holder resets it there"
+    return (
+        f"; {stop.text()} is kept for the next start: the pose's holder resets it there (reset_stop(), in C "
+        "sf_stop_reset)"
+    )

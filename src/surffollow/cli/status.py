@@ -14,6 +14,7 @@ from surffollow.cli.clipped_heights import clipped_note
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 
 STARTING = 3  # exit code
+SHOWN_STOPS = 4  # of those that latched a stop
 
 
 @click.command("status")
@@ -120,6 +121,23 @@ def audit_lines(status: dict[str, Any]) -> list[str]:
     return (lines or ["no change was requested"]) + ([f"{lost} entries were lost"] if lost else [])
 
 
+def stop_lines(status: dict[str, Any]) -> list[str]:
+    """The latched stop as text: its causes and its reset, then since when and why, with local times."""
+    from datetime import datetime, timedelta
+
+    lines = [
+        f"STOPPED  {', '.join(status['stopped'])}; until the pose's holder resets it (reset_stop(), in C "
+        "sf_stop_reset, surffollow simulate --reset-stop)"
+    ]
+    now = datetime.now()
+    for e in status["stopped_by"][:SHOWN_STOPS]:
+        since = now - timedelta(seconds=e["age_s"])
+        who = f" by {e['client'] or '-'}, pid {e['pid']}" if e["slot"] >= 0 else ""
+        why = f": {e['reason']}" if e["reason"] else ""
+        lines.append(f"         since {since:%Y-%m-%d %H:%M:%S} {', '.join(e['causes'])}{who}{why}")
+    return lines
+
+
 def durations(summary: dict[str, float]) -> str:
     """p50, p99 and maximum of a histogram, as text."""
     from surffollow.units import format_ns
@@ -220,8 +238,7 @@ def render(s: dict[str, Any]) -> str:
         lines.insert(5, f"standoff {length_text(s['params']['offset_m'], unit, 6)}")
     lines[5:5] = follower_lines(s["follower"], unit)
     if s["stopped"]:
-        causes = ", ".join(s["stopped"])
-        lines.append(f"STOPPED  {causes}; the pose's holder resets it (reset_stop(), in C sf_stop_reset)")
+        lines += stop_lines(s)
     if s["faults"]:
         lines.append("faults   " + ", ".join(f"{f['number']} {f['name']}" for f in s["faults"]))
     if main.get("text"):

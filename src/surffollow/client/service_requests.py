@@ -19,7 +19,7 @@ class ServiceRequests(RangePusher):
     """An attachment that may send requests to the cycle; see `Client`."""
 
     def sf_reset(self, offset_m: float, *, timeout_s: float = 5.0, wait: bool = True) -> Ticket:
-        """Restart the forecast with a desired stand-off (paper: SFReset).
+        """Restart the forecast with a desired stand-off (paper: SFReset); a latched stop stays.
 
         Parameters
         ----------

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from surffollow.client.demand import STALE, status_names
 from surffollow.client.follower_report import follower_report, numbered_faults
 from surffollow.client.histogram_report import histogram_summary
+from surffollow.client.stop_report import latched_by
 from surffollow.config.stop_causes import stop_names
 from surffollow.errors import SurffollowError
 from surffollow.shm.layout_board import STATE_READY, MainThreadState, MapStatus, Stats
@@ -29,7 +30,7 @@ def status_report(observer: Observer) -> dict[str, Any]:
     main_thread = observer.board.latch("ticker", MainThreadState).read() or {}
     map_status = observer.board.latch("map_status", MapStatus).read() or {}
     state = observer.board.state()
-    stale = bool(demand.status & STALE)
+    stale, stopped = bool(demand.status & STALE), stop_names(int(output["stop"]) if output else 0)
     counters = {k: v for k, v in stats.items() if k not in ("lateness", "execution")}
     return {
         "name": observer.name,
@@ -46,7 +47,8 @@ def status_report(observer: Observer) -> dict[str, Any]:
         "execution": histogram_summary(stats["execution"], stats["execution_max_ns"]),
         "follower": follower_report(output, int(params.get("mode", 0))),
         "faults": numbered_faults(int(output["faults"]) if output else 0, int(main_thread.get("faults", 0))),
-        "stopped": list(stop_names(int(output["stop"]) if output else 0)),
+        "stopped": list(stopped),
+        "stopped_by": latched_by(observer.audit()) if stopped else [],
         "main": main_thread,
         "clients": observer.clients(),
         "map": map_status | _map_facts(observer),

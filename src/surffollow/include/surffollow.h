@@ -2180,7 +2180,7 @@ static inline int sf_i_request(sf_client *c, int64_t code, int n, const int64_t 
   return sf_i_ask(c, code, n, numbers, values, timeout_ns, timeout_ns);
 }
 
-/* Restart the forecast with a desired stand-off [m] (paper: SFReset). */
+/* Restart the forecast with a desired stand-off [m] (paper: SFReset). A latched stop stays: sf_stop_reset ends it. */
 static inline int sf_sf_reset(sf_client *c, double offset_m) {
   if (c == NULL) return SF_ERR_ARGUMENT;
   return sf_i_request(c, SF_RQ_SF_RESET, 1, NULL, &offset_m, c->options.timeout_ns);

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surffollow.errors import UsageError
 from surffollow.record.columns import Columns
 from surffollow.record.csv_log import CsvLog
+from surffollow.record.drawn_series import PAUSE_INTERVALS
 from surffollow.record.figure import outliers
 from surffollow.shm.map_layout import MAX_REGION_M
 from surffollow.units import numbers_text, parse_quantity
@@ -33,24 +34,44 @@ def target_points(log: CsvLog, columns: Columns) -> NDArray[np.float64]:
 def _poses_of_readings(log: CsvLog, delay_s: float) -> tuple[NDArray[np.float64], Any]:
     """Positions (n, 3) [m] and attitudes (n rotations) when the readings were taken, `delay_s` before rows.
 
-    They are interpolated between rows; the position is NaN before the first one.
+    They are interpolated between rows that have a pose. The position is NaN before the first and behind the
+    last one, and between two that a longer gap of rows without a pose separates.
     """
     from scipy.spatial.transform import Rotation
 
-    position, attitude = log.pose[:, :3], Rotation.from_quat(log.pose[:, 3:])
     t = log.elapsed_s()
-    if delay_s == 0.0 or t.size == 0:
+    rows = np.flatnonzero(log.has_pose())
+    if rows.size == 0:
+        return np.full((t.size, 3), np.nan), Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (t.size, 1)))
+    position, attitude, at = log.pose[rows, :3], Rotation.from_quat(log.pose[rows, 3:]), t[rows]
+    if delay_s == 0.0 and rows.size == t.size:
         return position, attitude
     then = t - delay_s
     then = np.where(np.abs(then) < log.slack_s(), 0.0, then)
-    # then lies from row `before` to the next; of rows with one time it is the last
-    before = np.maximum(np.searchsorted(t, then, side="right") - 1, 0)
-    after = np.minimum(before + 1, t.size - 1)
-    part = (then - t[before]) / np.maximum(t[after] - t[before], 1e-9)
+    # then lies from pose `before` to the next; of poses with one time it is the last
+    before = np.maximum(np.searchsorted(at, then, side="right") - 1, 0)
+    after = np.minimum(before + 1, at.size - 1)
+    gap_s, usual_s = at[after] - at[before], float(np.median(np.diff(at))) if at.size > 1 else 0.0
+    lost = (rows[after] - rows[before] > 1) & (gap_s > PAUSE_INTERVALS * usual_s) & (then != at[before])
+    known = ((then >= at[0]) & (then <= at[-1]) & ~lost)[:, None]
+    part = np.clip((then - at[before]) / np.maximum(gap_s, 1e-9), 0.0, 1.0)
     turn = (attitude[before].inv() * attitude[after]).as_rotvec()
-    known = (then >= 0.0)[:, None]
     moved = position[before] + part[:, None] * (position[after] - position[before])
     return np.where(known, moved, np.nan), attitude[before] * Rotation.from_rotvec(part[:, None] * turn)
+
+
+def pose_notes(log: CsvLog, points_m: NDArray[np.float64]) -> list[str]:
+    """That rows have no pose, and how many readings have no target point (n, 3) [m], as text."""
+    without = np.flatnonzero(~log.has_pose())
+    if not without.size:
+        return []
+    read = np.isfinite(log.range_m)
+    lost = int((read & ~np.isfinite(points_m).all(axis=1)).sum())
+    return [
+        f"{without.size} of {log.t_s.size} rows have no pose, because a cell of it has no value: "
+        f"{_rows_text(log, without)}; {lost} of {int(read.sum())} readings have no target point, those "
+        "between poses have an interpolated one"
+    ]
 
 
 def check_extent(file: str, log: CsvLog, points_m: NDArray[np.float64]) -> None:

@@ -127,19 +127,29 @@ def run_csv(
     """
     if not np.isfinite(log.range_m).any():
         raise UsageError(_no_reading(log, columns))
+    has_pose = log.has_pose()
+    if not has_pose.any():
+        raise UsageError(
+            f"none of the {log.t_s.size} rows has a pose: cells of [position] and [attitude] have no value; "
+            "check their columns, and --start and --end"
+        )
     follower = make_follower(columns, log, mode)
     horizons = columns.horizons_s
     n = log.t_s.size
     height, slope = np.full(n, np.nan), np.full(n, np.nan)
     forecast = np.full((n, len(horizons)), np.nan)
-    known = False
+    known = posed = False
     elapsed_s = log.elapsed_s()
     for i in range(n):
         if progress is not None and i % ROWS_PER_REPORT == 0:
             progress(i / n)
         t_ns = round(float(elapsed_s[i]) * 1e9) + 1_000_000_000
+        posed = posed or bool(has_pose[i])
+        if not posed:  # a range without a pose is no place
+            continue
         try:
-            follower.pose(t_ns, log.pose[i])
+            if has_pose[i]:
+                follower.pose(t_ns, log.pose[i])
             follower.step(t_ns, [float(log.range_m[i])])
         except UsageError as error:
             raise _of_row(log, columns, i, error) from None

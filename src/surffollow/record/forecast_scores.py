@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surffollow.record.columns import Columns
+from surffollow.record.csv_plausibility import other_time_unit
+from surffollow.record.csv_points import pose_notes
 from surffollow.record.csv_replay import CsvReplay, follow_notes, horizon_notes
 
 
@@ -75,10 +77,13 @@ def unscored_notes(replay: CsvReplay, columns: Columns, rows: list[dict[str, flo
     t_s = replay.log.elapsed_s()[np.isfinite(replay.log.range_m)]
     readings = f"{t_s.size} readings"
     if t_s.size > 1:
-        readings += f" (over {np.ptp(t_s):g} s, {np.median(np.diff(t_s)):g} s apart)"
+        interval_s = float(np.median(np.diff(t_s)))
+        other = other_time_unit(columns, interval_s)
+        readings += f" (over {np.ptp(t_s):g} s, {interval_s:g} s apart{other and '; ' + other})"
     return [
         f"no forecast over {over} s could be compared: none of the {readings} came within "
-        f"{columns.match_s:g} s after a horizon; check [time] unit, and [forecast] horizons and match"
+        f'{columns.match_s:g} s after a horizon; check [time] unit = "{columns.time.unit}", and [forecast] '
+        "horizons and match"
     ]
 
 
@@ -97,9 +102,11 @@ def summarise(path: str | Path, replay: CsvReplay, columns: Columns) -> dict[str
         "end_s": float(log.t_s[-1]),
         "height_m": {"min": float(heights.min()), "mean": float(heights.mean()), "max": float(heights.max())},
         "slope": {"min": float(slopes.min()), "mean": float(slopes.mean()), "max": float(slopes.max())},
-        "notes": follow_notes(columns, replay.mode)
+        "notes": [*log.notes]
+        + follow_notes(columns, replay.mode)
         + horizon_notes(columns, replay.mode)
-        + unscored_notes(replay, columns, scores),
+        + unscored_notes(replay, columns, scores)
+        + pose_notes(log, replay.target_m),
         "forecast": [{k: None if v != v else v for k, v in row.items()} for row in scores],
     }
     if log.reference_m is not None and columns.reference is not None:

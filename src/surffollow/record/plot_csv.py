@@ -96,7 +96,8 @@ def _draw_ground(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Co
     if reference is not None and columns.reference is not None:
         label = "reference: " + columns.reference.column.replace("$", r"\$")  # no formula
         draw_series(ax, drawn_series(t, reference * factor), fg.GREEN, label)
-    draw_series(ax, drawn_series(t, vehicle * factor), fg.BLUE, "vehicle", lw=1.0)
+    has = replay.log.has_pose()
+    draw_series(ax, drawn_series(t[has], vehicle[has] * factor), fg.BLUE, "vehicle", lw=1.0)
     fg.mark_outliers(ax, t, ground * factor, odd)
     shown = np.concatenate([ground, vehicle])
     ax.set_ylim(*fg.with_room(shown * factor))

@@ -25,6 +25,7 @@ from surffollow.service.shared_objects import SharedObjects
 from surffollow.shm import layout_board as lb
 from surffollow.shm.cycle_log import log_append
 from surffollow.shm.dtypes import numpy_dtype
+from surffollow.shm.layout_follow import STOP_DRIVER, STOP_RESTART, STOP_START
 from surffollow.shm.ring import ring_drop, ring_peek
 
 PER_LOOK = 4096  # entries taken at once: the main thread has other work
@@ -34,6 +35,7 @@ REFUSED, ASKED, CHANGED = range(3)
 BURST, PER_SECOND = {REFUSED: 16.0, ASKED: 16.0, CHANGED: 64.0}, {REFUSED: 1.0, ASKED: 1.0, CHANGED: 1.0}
 USERS = 64  # whose budgets are remembered
 KEPT = 160  # changes that nothing but later changes displaces
+TEXT_BYTES = lb.AuditEntry.field("text").size - 1
 _KNOWN = frozenset(lb.codes("RQ_").values())
 _CHANGES = frozenset((lb.RQ_SET_PARAMS, lb.RQ_SF_RESET, lb.RQ_STOP, lb.RQ_STOP_RESET))
 
@@ -78,14 +80,16 @@ class AuditTrail:
         self._gathered: dict[tuple[int, ...], _Gathered] = {}
         self._kept: deque[tuple[int, Any]] = deque(maxlen=KEPT)  # number of the last appending, entry
         self._appended, self._unreported = 0, 0
+        self._driver_fault = ""  # the newest, which may be over when the entry of its stop is taken
 
     @property
     def lost(self) -> int:
         """Entries that found no room in the queue, and lines that found none in the log."""
         return m.load_word(self._ctx, m.CHANGES_LOST) + self._unreported
 
-    def publish(self) -> None:
-        """Take what is queued, a bounded number."""
+    def publish(self, driver_fault: str = "") -> None:
+        """Take what is queued, a bounded number; `driver_fault`: what the driver reports now, "": nothing."""
+        self._driver_fault = driver_fault or self._driver_fault
         queue, capacity = int(self._ctx[m.CHANGES]), int(self._ctx[m.CHANGES_CAPACITY])
         now_ns = time.monotonic_ns()
         for _ in range(PER_LOOK if queue else 0):
@@ -106,6 +110,8 @@ class AuditTrail:
         e["t_ns"], e["slot"], e["code"], e["result"] = time.monotonic_ns(), -1, lb.RQ_STOP, lb.OK
         e["uid"], e["word"], e["count"], e["detail"] = -1, -1, 1, causes
         e["old_value"] = e["new_value"] = np.nan
+        if causes & ~(STOP_START | STOP_RESTART):
+            e["text"] = b"kept from before this start"
         self._take(entry, int(e["t_ns"]))
 
     def finish(self) -> None:
@@ -120,6 +126,8 @@ class AuditTrail:
         e = entry[0]
         if int(e["slot"]) < 0:
             e["pid"], e["uid"], e["name"] = os.getpid(), os.geteuid(), b"service"
+            if int(e["detail"]) & STOP_DRIVER and not e["text"]:
+                e["text"] = _fitted(self._driver_fault)
             self._report(entry, CHANGED)
             return
         e["name"] = self._named(int(e["claim"])).encode()[:31]
@@ -168,6 +176,14 @@ class AuditTrail:
     def _append(self, entry: Any) -> None:
         log_append(self._ring, lb.AUDIT_WORDS, entry.ctypes.data, lb.AUDIT_ENTRY_WORDS)
         self._appended += 1
+
+
+def _fitted(text: str) -> bytes:
+    """Text as an entry holds it; what is cut off ends in an ellipsis."""
+    data = text.encode(errors="replace")
+    if len(data) <= TEXT_BYTES:
+        return data
+    return (data[: TEXT_BYTES - 3].decode(errors="ignore") + "…").encode()
 
 
 def _line(entry: Any) -> str:

@@ -99,7 +99,7 @@ class Heartbeat:
         self._driver_log.update(driver_faults, reported_ns)
         causes = STOP_DRIVER if driver_faults else 0
         store_release(self._ctx.ctypes.data + 8 * m.STOP_ASKED, causes)
-        self.guard.run("the audit trail", self._audit.publish, None)
+        self.guard.run("the audit trail", lambda: self._audit.publish("; ".join(driver_faults)), None)
         self.guard.run("keeping the names", self._objects.check_names, None)
         notes = [*self._watch.notes(), *conversion_notes(self._ctx), *window_notes(self._ctx)]
         notes += self._mounts.notes()
