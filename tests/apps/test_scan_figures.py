@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,9 @@ import pytest
 from surffollow.apps import scan_report
 from surffollow.apps.scan_expected import expected_range_m
 from surffollow.apps.scan_figures import true_figures
+from surffollow.apps.scan_gap import GapWatch
 from surffollow.apps.scan_run import Executed, progress_text
+from surffollow.cli.scan_run import _print_gap
 from surffollow.scan import pictures
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import ScanPath
@@ -45,7 +49,7 @@ def executed(path: ScanPath) -> Executed:
     columns |= {f"n{c}": path.normal[:, k] for k, c in enumerate("xyz")} | {"z_m": path.position_m[:, 2]}
     ranges_m = np.column_stack([t, np.full(len(t), GAP_M)])
     summary: dict[str, Any] = {"finished": True, "progress": 1.0, "planned_s": 4.0, "way": "plan"}
-    summary["inside_times"] = 0
+    summary |= {"inside_times": 0, "from_s": 1.0, "followed_to_s": 4.0, "continue_from": None}
     return Executed(
         path, columns, ranges_m, np.zeros(len(t)), np.full(len(t), path.position_m[0, 2]), summary
     )
@@ -93,3 +97,36 @@ def test_the_progress_of_a_run_has_the_unit_of_its_gap_and_a_dash_without_a_read
     assert progress_text("scan", 2.0126, length_unit(GAP_M)) == "scan, stand-off 2.013 m"
     assert progress_text("scan", 0.0523, length_unit(0.05)) == "scan, stand-off 52.3 mm"
     assert progress_text("approach", float("nan"), length_unit(0.05)) == "approach, stand-off -"
+
+
+def robot_inside(gap_m: float, limit_m: float) -> Any:
+    """A robot 13 mm inside its gap that needs a lift of 3 m."""
+    monitor = SimpleNamespace(gap_m=gap_m, clearance_m=lambda pose: gap_m - 0.0133)
+    rest = {"newest": np.zeros(7), "number": 0, "t_ns": 1, "state": {"start_ns": [0]}, "lifting_s": 1.0}
+    return SimpleNamespace(
+        desired_m=gap_m, monitor=monitor, leaving=False, inside=True, lift_m=3.0, limit_m=limit_m, **rest
+    )
+
+
+def test_texts_of_events_have_the_unit_of_the_gap(capsys: pytest.CaptureFixture[str]) -> None:
+    # GIVEN a tool inside a gap of metres
+    watch = GapWatch(robot_inside(GAP_M, GAP_M))
+    # THEN the line and the reason are in metres
+    assert watch.tick(None) == ["inside the gap: 1.987 m from the ground at x 0.000, y 0.000 m"]
+    assert watch.why == (
+        "the underside is 1.987 m from the ground at x 0.000, y 0.000 m, the gap is 2.000 m: it needs more "
+        "lift than the correction may be (2 m)"
+    )
+    narrow = GapWatch(robot_inside(0.05, 0.05))
+    assert narrow.tick(None) == ["inside the gap: 36.7 mm from the ground at x 0.000, y 0.000 m"]
+    assert narrow.why.endswith("(50 mm)")
+    # AND so is the list that the command prints
+    done = executed(path_at(2.4))
+    figures = {"stop_reason": "", "inside_times": 1, "inside_s": 1.0, "inside_least_m": 1.9867}
+    done = replace(done, inside=watch.events)
+    done.summary.update(figures | {"inside_later_part": 0.0, "coverage": None})
+    _print_gap(done)
+    said = capsys.readouterr().err
+    assert "pass 1, x 0.000, y 0.000 m: 1.987 m\n" in said
+    assert "at least 1.987 m away" in said
+    assert "mm" not in said

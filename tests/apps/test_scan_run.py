@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import shlex
 import signal
 import socket
 import subprocess
@@ -31,6 +32,7 @@ from surffollow.apps.scan_run import Executed
 from surffollow.cli.main import cli
 from surffollow.errors import BusyError, NotRunningError
 from surffollow.map import HeightMap
+from surffollow.scan.path import ScanPath
 
 GAP_M = 0.08  # within the window of the simulated sensor
 
@@ -99,6 +101,9 @@ def test_a_scan_is_run_to_its_end_and_reported(service, folder, tmp_path):
     assert facts["retracted"]
     assert facts["true_rms_m"] < 3e-3
     assert facts["true_contacts"] == 0.0
+    assert facts["coverage"] == facts["coverage_with_before"] == 1.0
+    assert facts["continue_from"] is facts["continue_with"] is None
+    assert "to continue" not in child.stderr
     assert facts["sensed_part"] > 0.9
     # the plan was shown: figures, flags, check
     for shown in ("clearance_min_m", "flags", "ok   clearance", "picture of the plan"):
@@ -112,13 +117,24 @@ def test_a_scan_is_run_to_its_end_and_reported(service, folder, tmp_path):
 def test_the_texts_of_a_report_count_times_and_short_times():
     summary = {"finished": True, "progress": 1.0, "planned_s": 54.4, "way": "follow"}
     summary |= {"inside_times": 1, "inside_s": 0.03, "inside_least_m": 0.02, "inside_later_part": 0.0}
-    done = Executed(None, {}, np.zeros((0, 2)), np.zeros(0), np.zeros(0), summary)
+    summary["from_s"] = 0.0
+    path = ScanPath.planar(np.zeros((2, 2)), np.zeros(2, np.int32), facts={"gap_m": GAP_M})
+    done = Executed(path, {}, np.zeros((0, 2)), np.zeros(0), np.zeros(0), summary)
     assert title_text(done) == "finished: 100 % of the plan's 54.4 s, way follow; once inside the gap"
     assert "noticed once, 0.03 s, at least" in inside_text(done)
     summary["inside_times"] = 2
     assert title_text(done).endswith("; 2 times inside the gap")
     summary["inside_times"] = 0
     assert title_text(done).endswith("way follow")
+    assert inside_text(done).endswith("came more than 10 mm inside the gap")
+    # a narrow gap has a smaller tolerance, a wide one metres
+    for gap_m, most, least in ((0.01, "5 mm", "20.0 mm"), (2.0, "0.01 m", "0.020 m")):
+        path.facts["gap_m"] = gap_m
+        summary["inside_times"] = 0
+        assert inside_text(done).endswith(f"came more than {most} inside the gap")
+        summary["inside_times"] = 1
+        assert f"came more than {most} inside the gap: " in inside_text(done)
+        assert f"at least {least} away" in inside_text(done)
 
 
 def test_nothing_moves_before_somebody_confirms(service, folder):
@@ -176,6 +192,32 @@ def test_pause_resume_and_abort_by_commands(service, folder):
     assert 0.0 < facts["progress"] < 1.0
 
 
+def test_an_aborted_scan_prints_the_command_that_continues_it(service, folder, tmp_path):
+    # GIVEN a scan that is interrupted
+    child = begin(service, folder, "--picture", str(tmp_path / "first.png"))
+    reach(service, child, lambda s: s["progress"] > 0.3)
+    child.send_signal(signal.SIGINT)
+    out, error = child.communicate(timeout=WAIT_S)
+    first = json.loads(out)
+    assert 0.0 < first["coverage"] < 1.0
+    assert first["coverage_with_before"] == first["coverage"]
+    # WHEN the command that it printed is run
+    (line,) = [text for text in error.splitlines() if text.startswith("to continue: ")]
+    command = shlex.split(line.removeprefix("to continue: "))
+    assert command == shlex.split(first["continue_with"])
+    assert "--picture" not in command
+    done = run_command([sys.executable, "-m", *command])
+    # THEN it scans the rest alone, from the place where the first one ended
+    assert done.returncode == 0, done.stderr
+    rest = json.loads(done.stdout)
+    assert "begins at" in done.stderr
+    assert rest["finished"]
+    assert rest["from_s"] == pytest.approx(first["followed_to_s"], abs=1e-3)
+    assert rest["path_id"] == first["path_id"]
+    assert 0.0 < rest["coverage"] < 1.0
+    assert rest["coverage_with_before"] == 1.0
+
+
 def test_ctrl_c_retracts_before_it_ends(service, folder):
     # GIVEN a scan that runs
     child = begin(service, folder)
@@ -230,9 +272,9 @@ def test_a_path_that_the_checker_refuses_needs_the_operators_word(service, folde
     )
     command = words(service, folder, "--yes")
     command[command.index(str(folder / "ground.npz"))] = str(tmp_path / "higher.npz")
-    # WHEN the scan is run, THEN it asks for `--unchecked`
+    # WHEN the scan is run, THEN it asks for `--unchecked`; the command line was right
     done = run_command(command)
-    assert done.returncode == 2
+    assert done.returncode == 1
     assert "--unchecked" in done.stderr
 
 

@@ -283,6 +283,23 @@ def test_a_table_has_a_dash_for_what_one_seed_does_not_have() -> None:
     assert "1.000 ± - |" in markdown_table([one])
 
 
+def test_a_table_at_a_standoff_of_metres_has_metres() -> None:
+    figures = dict.fromkeys(("p95_m", "peak_m", "within_1mm", "demand_accel_mps2"), 1e-3)
+    row = {"method": "p", "surface": "flat", "speed_mps": 1.5, "lead_m": 0.25, "rms_m": 0.0253, "seeds": 1}
+    row |= {**figures, "rms_ci95_m": [0.0, 0.0], "demand_sign_changes_per_m": 1.0, "lag_s": None}
+    names, units, line = (text.split() for text in text_table([row], 3.0).splitlines())
+    assert (names[2:5], units[:3], line[2:5]) == (
+        ["speed", "lead", "rms"],
+        ["m/s", "m", "m"],
+        ["1.5", "0.25", "0.0253"],
+    )
+    assert "<1mm" not in names
+    assert len(names) - 2 == len(units)
+    names, units, line = (text.split() for text in text_table([row], 0.1).splitlines())
+    assert (units[:3], line[2:5]) == (["mm/s", "mm", "mm"], ["1500", "250", "25.300"])
+    assert "<1mm" in names
+
+
 @pytest.mark.parametrize(
     ("row", "text"),
     [

@@ -25,6 +25,11 @@ POSES_AHEAD = 8
 READINGS_KEPT, POSES_KEPT = 50, 100
 
 
+def tolerance_m(gap_m: float, inside_m: float = INSIDE_M) -> float:
+    """By how much an underside may be inside a gap [m]: half of a narrow one."""
+    return min(inside_m, 0.5 * gap_m)
+
+
 def body_rotations(quaternion: Floats) -> Floats:
     """(n, 3, 3) rotations of quaternions (n, 4), normalised here."""
     x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1)[:, None]).T
@@ -48,10 +53,8 @@ class ClearanceMonitor:
     """
 
     def __init__(self, path: ScanPath, ground: TerrainGrid | None, inside_m: float = INSIDE_M) -> None:
-        self.gap_m, self.inside_m = (
-            float(path.facts["gap_m"]),
-            min(inside_m, 0.5 * float(path.facts["gap_m"])),
-        )
+        self.gap_m = float(path.facts["gap_m"])
+        self.inside_m = tolerance_m(self.gap_m, inside_m)
         self.body_m = body_points(path.facts.get("body_m", [[0.0, 0.0, 0.0]]))
         radius = float(np.hypot(self.body_m[:, 0], self.body_m[:, 1]).max())
         swath = float(path.facts.get("swath_m", 2.0 * radius))

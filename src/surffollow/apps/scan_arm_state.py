@@ -27,8 +27,10 @@ def base_of(path: ScanPath) -> Floats:
     return made
 
 
-def arm_state(path: ScanPath, config: ScanRobotConfig, start_ns: int, stopping_s: float) -> Any:
-    """(1,) `ArmState` that stands above a path's first sample.
+def arm_state(
+    path: ScanPath, config: ScanRobotConfig, start_ns: int, stopping_s: float, from_s: float = 0.0
+) -> Any:
+    """(1,) `ArmState` at rest above the place of a path where it is to begin.
 
     Parameters
     ----------
@@ -36,11 +38,14 @@ def arm_state(path: ScanPath, config: ScanRobotConfig, start_ns: int, stopping_s
     config : ScanRobotConfig
     start_ns : of its clock [ns]
     stopping_s : from full rate along the path to rest [s]
+    from_s : time along the path where it begins [s]
     """
     a, c = zeros(ArmState), config
     a["t_ns"] = a["start_ns"] = start_ns
     a["end_s"], a["rate_change_ps"] = path.t_s[-1] - path.t_s[0], 1.0 / stopping_s
-    a["axis"][0, 0] = a["setpoint_m"] = path.position_m[0, 2] + APPROACH_M
+    t = path.t_s - path.t_s[0]
+    a["path_s"], a["at"] = from_s, min(int(np.searchsorted(t, from_s, side="right")) - 1, len(t) - 2)
+    a["axis"][0, 0] = a["setpoint_m"] = np.interp(from_s, t, path.position_m[:, 2]) + APPROACH_M
     a["tau_s"], a["v_max_mps"], a["a_max_mps2"] = c.plant.tau_s, c.plant.v_max_mps, c.plant.a_max_mps2
     a["base"] = base_of(path)
     a["trace_every"] = TRACE_EVERY

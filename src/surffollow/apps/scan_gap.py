@@ -8,6 +8,7 @@ import numpy as np
 
 from surffollow.apps.scan_robot import ScanRobot
 from surffollow.errors import FaultError
+from surffollow.units import decimal_length, length_unit
 
 LIFTS = (
     3.0  # times that a lift by the correction's limit takes: longer inside the gap, and the run is aborted
@@ -33,6 +34,7 @@ class GapWatch:
         self.events: list[dict[str, Any]] = []
         self.why = ""
         self._ticks = self._since_ns = 0
+        self._unit = length_unit(robot.desired_m)
 
     def tick(self, service: Any) -> list[str]:
         """Take the newest reading of a service (or None) and look; returns lines for the operator.
@@ -61,13 +63,15 @@ class GapWatch:
             now_s = (robot.t_ns - int(robot.state["start_ns"][0])) * 1e-9
             self.events.append({"t_s": now_s, **at, "clearance_m": clearance})
         self.events[-1]["clearance_m"] = min(self.events[-1]["clearance_m"], clearance)
-        place = f"{1e3 * clearance:.1f} mm from the ground at x {pose[0]:.3f}, y {pose[1]:.3f} m"
+        unit = self._unit
+        away = decimal_length(clearance, unit)
+        place = f"{away} from the ground at x {pose[0]:.3f}, y {pose[1]:.3f} m"
         stuck = robot.t_ns - self._since_ns > LIFTS * robot.lifting_s * 1e9
         if robot.lift_m > robot.limit_m or stuck:
             because = "lifting did not clear it" if stuck else "it needs more lift than the correction may be"
             self.why = (
-                f"the underside is {place}, the gap is {1e3 * monitor.gap_m:.1f} mm: {because} "
-                f"({1e3 * robot.limit_m:.0f} mm)"
+                f"the underside is {place}, the gap is {decimal_length(monitor.gap_m, unit)}: {because} "
+                f"({unit[0] * robot.limit_m:g} {unit[1]})"
             )
         return [f"inside the gap: {place}"] if first else []
 

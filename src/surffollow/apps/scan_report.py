@@ -7,16 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from surffollow.apps.clearance_monitor import INSIDE_M
+from surffollow.apps.clearance_monitor import tolerance_m
 from surffollow.apps.html_page import Page
 from surffollow.apps.scan_figures import desired_range_m
 from surffollow.apps.scan_run import Executed
 from surffollow.map.formats.axis_labels import label_axis, label_plan
+from surffollow.scan.check_raster import percent
 from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import flag_counts
 from surffollow.scan.pictures import draw_relief, new_figure, save_figure
 from surffollow.scan.plan_summary import plan_figures
-from surffollow.units import length_unit
+from surffollow.units import decimal_length, length_unit
 
 
 def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid | None) -> None:
@@ -39,7 +40,8 @@ def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid |
     scene.plot(
         done.trace["real_x_m"][moved], done.trace["real_y_m"][moved], color="red", lw=0.9, label="real tip"
     )
-    scene.set(aspect="equal", title=title_text(done))
+    _mark_ends(scene, done)
+    scene.set(aspect="equal", title=title_text(done).replace("; ", "\n"))
     if ground is None:
         label_plan(scene, (*scene.get_xlim(), *scene.get_ylim()))
     scene.legend(fontsize=8, loc="upper right")
@@ -67,12 +69,37 @@ def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid |
     save_figure(figure, path)
 
 
+def _mark_ends(axes: Any, done: Executed) -> None:
+    """Where a continued run began, and where an aborted one is to be continued."""
+    path, s = done.path, done.summary
+    t = path.t_s - path.t_s[0]
+    for at_s, marker, label, shown in (
+        (s["from_s"], "o", "begin", s["from_s"]),
+        (s["followed_to_s"], "s", "continue here", s["continue_from"]),
+    ):
+        if shown:
+            x, y = (np.interp(at_s, t, path.position_m[:, k]) for k in range(2))
+            axes.plot(x, y, marker, color="blue", ms=6, label=label)
+
+
 def title_text(done: Executed) -> str:
     """How the run ended, how far it came, and how often it was inside the gap."""
     s = done.summary
     state = "finished" if s["finished"] else "aborted" if s["aborted"] else "not finished"
-    text = f"{state}: {100 * s['progress']:.0f} % of the plan's {s['planned_s']:.3g} s, way {s['way']}"
+    begin = f" from {s['from_s']:.3g} s on" if s["from_s"] else ""
+    text = f"{state}: {100 * s['progress']:.0f} % of the plan's {s['planned_s']:.3g} s{begin}, way {s['way']}"
     return f"{text}; {_times(s['inside_times'])} inside the gap" if s["inside_times"] else text
+
+
+def coverage_text(done: Executed) -> str:
+    """One sentence on the part of the planned region that was covered."""
+    s = done.summary
+    if s["coverage"] is None:
+        return "coverage: not known, the path names no region that could be counted"
+    text = f"coverage: the passes of this run cover {percent(s['coverage'])} of the planned region"
+    if not s["from_s"]:
+        return text
+    return f"{text}, with those of the path before {s['from_s']:.6g} s {percent(s['coverage_with_before'])}"
 
 
 def _times(n: int) -> str:
@@ -85,12 +112,15 @@ def inside_text(done: Executed) -> str:
     if s["inside_times"] is None:
         return "no readings: whether the tool came inside the gap is not known"
     later = s["inside_later_part"] or 0.0
+    gap_m = float(done.path.facts["gap_m"])
+    unit = length_unit(gap_m)
+    most = f"{unit[0] * tolerance_m(gap_m):g} {unit[1]}"
     if s["inside_times"] == 0 and later == 0.0:
-        text = "by the map and the readings no part of the underside came more than"
-        return f"{text} {1e3 * INSIDE_M:.0f} mm inside the gap"
-    least = "" if s["inside_least_m"] is None else f", at least {1e3 * s['inside_least_m']:.1f} mm away"
+        return f"by the map and the readings no part of the underside came more than {most} inside the gap"
+    least = s["inside_least_m"]
+    least = "" if least is None else f", at least {decimal_length(least, unit)} away"
     return (
-        f"the underside came more than {1e3 * INSIDE_M:.0f} mm inside the gap: noticed "
+        f"the underside came more than {most} inside the gap: noticed "
         f"{_times(s['inside_times'])}, {s['inside_s']:.3g} s{least}; {100 * later:.1f} % of the "
         "samples by all that was measured"
     )
@@ -111,7 +141,7 @@ def write_run_report(
     s = done.summary
     page = Page("Executed scan", title_text(done), bool(s["finished"]))
     page.picture(lambda p: draw_run(p, done, ground), "path, stand-off, correction and height")
-    page.section("Run")
+    page.section("Run", coverage_text(done))
     page.facts(s)
     page.section("Inside the gap, as the readings show it", inside_text(done))
     page.rows([{k: round(v, 4) for k, v in e.items()} for e in done.inside])

@@ -38,9 +38,14 @@ class ScanRobot(CommandedRobot):
     ----------
     path : ScanPath
     config : ScanRobotConfig
-    start_ns : time at which the tip stands above the path's first sample [ns]
+    start_ns : time at which the tip stands above the path's first sample, or that of `from_s` [ns]
     expected_m : (n,) range that the sensor should read at the samples [m]; None: see `expected_range_m`
     monitor : ClearanceMonitor      the gap from readings; None: the plan and the demand alone are used
+    from_s : time along the path where it begins, at rest above it [s]
+
+    Attributes
+    ----------
+    followed_s : list of [begin, end]   parts of the path's time [s] with a demand and not inside the gap
 
     Raises
     ------
@@ -57,6 +62,7 @@ class ScanRobot(CommandedRobot):
         start_ns: int,
         expected_m: Floats | None = None,
         monitor: ClearanceMonitor | None = None,
+        from_s: float = 0.0,
     ) -> None:
         check_executable(path)
         self.path, self.config = path, config
@@ -68,7 +74,7 @@ class ScanRobot(CommandedRobot):
         slowing = float(path.facts.get("acceleration_mps2", WITHOUT_FACTS["acceleration_mps2"]))
         self._lead_s = config.plant.tau_s + 0.5 / config.plant.tick_hz
         self.stopping_s = speed / slowing  # of the path's time, from full rate to rest twice as long
-        self.state = self._body = arm_state(path, config, start_ns, self.stopping_s)
+        self.state = self._body = arm_state(path, config, start_ns, self.stopping_s, from_s)
         self._command_timeout_s = config.command_timeout_s
         self._columns = path_columns(path, config)
         self._planned = np.column_stack([path.position_m, self._columns[:, 3:7]])
@@ -77,7 +83,7 @@ class ScanRobot(CommandedRobot):
         self._trace = np.zeros((rows, len(TRACE_COLUMNS)))
         self.world = zeros(WorldPose)
         self._rng = np.random.default_rng(config.seed)
-        self._reports = PoseReports(config.report_latency_s, np.append(self.tip_m, path.quaternion[0]))
+        self._reports = PoseReports(config.report_latency_s, np.append(self.tip_m, self._attitude()))
         self.monitor = monitor
         self.limit_m = config.most_m if config.most_m is not None else float(path.facts["gap_m"])
         self.holding, self.paused, self.leaving = True, False, False
@@ -88,6 +94,9 @@ class ScanRobot(CommandedRobot):
         self._correction = HeightCorrection(config, self.limit_m)
         self._settled = 0
         self.started_ns = 0
+        self.from_s = from_s
+        self.followed_s: list[list[float]] = []
+        self._apart = True
         self._received_ns = self._tick_ns = start_ns
 
     @property
@@ -142,8 +151,11 @@ class ScanRobot(CommandedRobot):
         self._reports.measure(self.t_ns, np.concatenate([tip, self._attitude()]))
 
     def _attitude(self) -> Floats:
-        q = np.asarray(self.state["q"][0], np.float64)
-        return self._columns[0, 3:7] if not q.any() else q.copy()
+        q: Floats = np.array(self.state["q"][0], np.float64)
+        if not q.any():  # no step was made yet
+            q = np.asarray(self.attitude_at(self.state["path_s"])[0])
+            q /= np.linalg.norm(q)
+        return q
 
     def reports(self) -> list[tuple[int, NDArray[np.float64]]]:
         """Take the reports that are due: (when it was true [ns], pose (7,)), oldest first."""
@@ -220,9 +232,22 @@ class ScanRobot(CommandedRobot):
             if self._settled < SETTLED_TICKS:
                 return
             self.started_ns = self.t_ns
-            if "shaper_s" in self.path.facts:  # from rest in its own time; slower is not what was shaped
+            # from rest in its own time; slower is not what was shaped. Only its ends are at rest
+            if "shaper_s" in self.path.facts and self.from_s == 0.0:
                 self.state["rate"] = 1.0
         self.state["rate_setpoint"] = 0.0 if self.paused or self.blocked else 1.0
+        self._note_followed()
+
+    def _note_followed(self) -> None:
+        """Note the part of the path that it follows, up to here."""
+        here = float(self.state["path_s"][0])
+        if self.inside:
+            self._apart = True
+        elif self._apart:
+            self.followed_s.append([here, here])
+            self._apart = False
+        else:
+            self.followed_s[-1][1] = here
 
     def _ahead(self, column: Floats) -> float:
         """A column of the path where the axis will be when it has reacted."""
@@ -234,6 +259,9 @@ class ScanRobot(CommandedRobot):
         self._received_ns = self._tick_ns = self.t_ns
         if self.leaving:
             return
+        if not self._apart:
+            self._note_followed()
+        self._apart = True
         if not self.holding:
             self.holding = True
             here, rate = float(self.state["path_s"][0]), float(self.state["rate"][0])

@@ -14,6 +14,7 @@ from surffollow.apps.clearance_monitor import ClearanceMonitor
 from surffollow.apps.scan_control import ControlServer, keys
 from surffollow.apps.scan_expected import expected_range_m
 from surffollow.apps.scan_gap import GapWatch
+from surffollow.apps.scan_parts import check_begin, continue_from, covered_part, path_id
 from surffollow.apps.scan_robot import ScanRobot
 from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.errors import FaultError
@@ -22,24 +23,18 @@ from surffollow.scan.grid import TerrainGrid
 from surffollow.scan.path import ScanPath
 from surffollow.sim.robot_run import Controller, Service
 from surffollow.sim.world import WorldWriter
-from surffollow.units import length_unit
+from surffollow.units import decimal_length, length_unit
 
 REPORT_EVERY_NS = 500_000_000
 RETRACT_S = 10.0  # longest that a retract may take
 STATES = ("approach", "scan", "inside", "waiting", "hold", "stopped", "paused", "retract")
-LIFTS = (
-    3.0  # times that a lift by the correction's limit takes: longer inside the gap, and the run is aborted
-)
-AFTERWARDS = 2000  # samples whose clearance is looked at again with all that was measured
 
 Progress = Callable[[str, float], Any]
 
 
 def progress_text(state: str, standoff_m: float, unit: tuple[float, str]) -> str:
     """State of a run and its stand-off, "-" where there is no reading; `unit` as of `length_unit`."""
-    factor, name = unit
-    digits = 1 if name == "mm" else 3
-    shown = f"{factor * standoff_m:.{digits}f} {name}" if math.isfinite(standoff_m) else "-"
+    shown = decimal_length(standoff_m, unit) if math.isfinite(standoff_m) else "-"
     return f"{state}, stand-off {shown}"
 
 
@@ -55,7 +50,9 @@ class Executed:
     correction_m : (k,) float64      of the plan at those times
     expected_m : (n,) float64        range that the plan means to have at its samples [m]
     summary : dict                   ready for JSON; `inside_*`: the gap as the readings show it, None without
-        any. `inside_later_part`: part of the samples on passes that were inside, by all that was measured
+        any. `inside_later_part`: part of the samples on passes that were inside, by all that was measured.
+        `coverage`: part of the planned region that the passes of this run covered, `coverage_with_before`
+        those before `from_s`, too. `continue_from`: value of `--from`; None: nothing is left, or was begun
     inside : list of dict            each time that the readings showed a control point inside the gap
     """
 
@@ -79,6 +76,7 @@ def execute(
     aborted: Callable[[], bool] = lambda: False,
     progress: Progress | None = None,
     wait_s: float = 10.0,
+    from_s: float = 0.0,
 ) -> Executed:
     """Run a path to its end or until it is aborted, then retract.
 
@@ -93,21 +91,23 @@ def execute(
     aborted : asked while waiting and in every period; once true the tip retracts and the run ends
     progress : gets a line of text and the finished part
     wait_s : how long to wait for the service at the start [s]
+    from_s : time along the path where it begins [s]: as at the first sample, from above and at rest
 
     Raises
     ------
     ScanInputError
-        a path that cannot be run
+        a path that cannot be run, or no place of it to begin at
     FaultError
         no service, another robot writes the world block, or another scan of this service runs
     KeyboardInterrupt
         when `aborted()` while it waits for the service
     """
     check_executable(path)
+    check_begin(path, from_s)
     expected = expected_range_m(path, ground)
     ScanRobot(path, config, 0, expected).advance(2_000_000)  # compiles
     monitor = None if config.way == "plan" else ClearanceMonitor(path, ground)
-    robot = ScanRobot(path, config, time.monotonic_ns(), expected, monitor)
+    robot = ScanRobot(path, config, time.monotonic_ns(), expected, monitor, from_s)
     control = ControlServer(name)
     try:
         world = WorldWriter(name)
@@ -266,6 +266,8 @@ class _Run:
         """Result of the run."""
         robot, c = self.robot, self.controller
         rows = np.array(self._rows).reshape(-1, 3)
+        parts = robot.followed_s
+        left = parts and not robot.done
         summary = {
             "way": robot.config.way,
             "finished": robot.done and not self.aborted,
@@ -273,6 +275,12 @@ class _Run:
             "progress": robot.progress,
             "duration_s": (robot.t_ns - robot.started_ns) * 1e-9 if robot.started_ns else 0.0,
             "planned_s": float(robot.path.t_s[-1] - robot.path.t_s[0]),
+            "path_id": path_id(robot.path),
+            "from_s": robot.from_s,
+            "followed_to_s": parts[-1][1] if parts else robot.from_s,
+            "coverage": covered_part(robot.path, parts),
+            "coverage_with_before": covered_part(robot.path, [[0.0, robot.from_s], *parts]),
+            "continue_from": continue_from(robot.path, parts[-1][1]) if left else None,
             "pauses": self._pauses,
             "paused_ticks": self._paused_ticks,
             "ticks": c.ticks,

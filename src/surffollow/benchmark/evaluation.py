@@ -31,6 +31,7 @@ from surffollow.benchmark.trials import run_trials
 from surffollow.config.input_file import contents_are_read
 from surffollow.errors import FaultError, UsageError
 from surffollow.map.formats.atomic_file import check_place
+from surffollow.units import length_unit
 
 ORACLES_FILE = "oracles.json"
 
@@ -108,7 +109,9 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
     found: dict[str, Any] = {"results": main, "standoff_m": conditions.standoff_m}
     if swept:
         found["sweeps"] = swept
-    text = (_conditions_text(conditions) if request.plant else "") + text_table(rows)
+    text = text_table(rows, conditions.standoff_m)
+    if request.plant:
+        text = _conditions_text(conditions) + text
     verdicts: list[comparison.Verdict] = []
     scored_tables: list[str] = []
     if request.criteria:
@@ -144,8 +147,10 @@ def run(request: Request, progress: Callable[[str, int, int], None] | None = Non
 
 
 def _conditions_text(conditions: Conditions) -> str:
-    mm = (1e3 * conditions.standoff_m, 1e3 * conditions.sensor.near_m, 1e3 * conditions.sensor.far_m)
-    return "stand-off {:g} mm in the sensor's window of {:g} to {:g} mm\n\n".format(*mm)
+    factor, unit = length_unit(conditions.standoff_m)
+    lengths = (conditions.standoff_m, conditions.sensor.near_m, conditions.sensor.far_m)
+    standoff, near, far = (f"{factor * v:g} {unit}" for v in lengths)
+    return f"stand-off {standoff} in the sensor's window of {near} to {far}\n\n"
 
 
 def _check_folder(folder: Path) -> None:

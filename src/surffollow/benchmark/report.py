@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from surffollow.benchmark.cell_runs import geometric_mean
+from surffollow.benchmark.conditions import STANDOFF_M
 from surffollow.benchmark.methods import LIMIT, ORACLE
 from surffollow.benchmark.runner import Result, run_method, scene_of
 from surffollow.benchmark.suite import surface_labels
 from surffollow.errors import UsageError
 from surffollow.extras import install_command
+from surffollow.units import length_unit
 
 Row = dict[str, Any]
 
@@ -104,22 +106,35 @@ def _number(value: float | None, factor: float, digits: int = 3) -> str:
     return "-" if value is None or not math.isfinite(value) else f"{factor * value:.{digits}f}"
 
 
-def text_table(rows: Sequence[Row]) -> str:
-    """Return one line per row for the terminal."""
-    units = ("mm/s", "mm", "mm", "mm", "mm", "mm", "%", "m/s²", "1/m", "ms")
-    names = ("speed", "lead", "rms", "±95%", "p95", "peak", "<1mm", "accel", "turns", "lag")
-    widths = (6, 5, 8, 7, 8, 8, 5, 7, 7, 6)
-    lines = [f"{'method':<20} {'surface':<18} " + " ".join(f"{n:>{w}}" for n, w in zip(names, widths))]
-    lines.append(" " * 40 + " ".join(f"{u:>{w}}" for u, w in zip(units, widths)))
+def text_table(rows: Sequence[Row], standoff_m: float = STANDOFF_M) -> str:
+    """Return one line per row for the terminal, with lengths in the unit of a stand-off [m].
+
+    The share of errors below 1 mm is left out where that unit is the metre.
+    """
+    factor, unit = length_unit(standoff_m)
+    digits, small = (3, True) if unit == "mm" else (4, False)
+
+    def length(value: float | None) -> str:
+        return _number(value, factor, digits)
+
+    columns: list[tuple[str, str, int, Callable[[Row], str]]] = [
+        ("speed", f"{unit}/s", 6, lambda r: f"{factor * r['speed_mps']:g}"),
+        ("lead", unit, 5, lambda r: f"{factor * r['lead_m']:g}"),
+        ("rms", unit, 8, lambda r: length(r["rms_m"])),
+        ("±95%", unit, 7, lambda r: length(half_interval_m(r))),
+        ("p95", unit, 8, lambda r: length(r["p95_m"])),
+        ("peak", unit, 8, lambda r: length(r["peak_m"])),
+        *([("<1mm", "%", 5, lambda r: _number(r["within_1mm"], 100, 1))] if small else []),
+        ("accel", "m/s²", 7, lambda r: _number(r["demand_accel_mps2"], 1)),
+        ("turns", "1/m", 7, lambda r: _number(r["demand_sign_changes_per_m"], 1, 1)),
+        ("lag", "ms", 6, lambda r: _number(r["lag_s"], 1e3, 0)),
+    ]
+    lines = [f"{'method':<20} {'surface':<18} " + " ".join(f"{n:>{w}}" for n, _, w, _ in columns)]
+    lines.append(" " * 40 + " ".join(f"{u:>{w}}" for _, u, w, _ in columns))
     for r in rows:
         name = r["surface"] + (f" {r['variant']}" if r.get("variant") else "")
-        lines.append(
-            f"{r['method']:<20} {name:<18} {1e3 * r['speed_mps']:>6g} {1e3 * r['lead_m']:>5g} "
-            f"{_number(r['rms_m'], 1e3):>8} {_number(half_interval_m(r), 1e3):>7} "
-            f"{_number(r['p95_m'], 1e3):>8} {_number(r['peak_m'], 1e3):>8} "
-            f"{_number(r['within_1mm'], 100, 1):>5} {_number(r['demand_accel_mps2'], 1):>7} "
-            f"{_number(r['demand_sign_changes_per_m'], 1, 1):>7} {_number(r['lag_s'], 1e3, 0):>6}"
-        )
+        cells = " ".join(f"{text(r):>{w}}" for _, _, w, text in columns)
+        lines.append(f"{r['method']:<20} {name:<18} {cells}")
     return "\n".join(lines)
 
 

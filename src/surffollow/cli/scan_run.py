@@ -12,7 +12,9 @@ from surffollow.cli.facts import print_facts
 from surffollow.cli.option_types import JSON, SERVICE_NAME, Finite
 from surffollow.cli.output_checks import check_outputs
 from surffollow.cli.progress import shows_compiling
+from surffollow.cli.scan_continue import PathTime, begin_of, begin_text, continuing_command
 from surffollow.cli.scan_options import EXISTING, OUT, PICTURE, check_picture, check_step, gap_of, ground_of
+from surffollow.config.input_file import contents_are_read
 from surffollow.errors import NotRunningError, ScanInputError, UsageError
 
 if TYPE_CHECKING:
@@ -32,6 +34,12 @@ if TYPE_CHECKING:
     default="feedforward",
     show_default=True,
     help="Height: the plan's, corrected by the demand; the demand alone over the installed map; the plan's.",
+)
+@click.option(
+    "--from",
+    "begin",
+    type=PathTime(),
+    help="Begin at this time along the path, as a run that was aborted prints it; ID: of that path.",
 )
 @click.option("--yes", is_flag=True, help="Start without asking; needed where there is no terminal.")
 @click.option("--unchecked", is_flag=True, help="Run a path that `scan check` does not accept.")
@@ -64,6 +72,7 @@ def run_command(
     name: str,
     map_file: str | None,
     way: str,
+    begin: tuple[float, str] | None,
     yes: bool,
     unchecked: bool,
     vertical_mode: float,
@@ -79,7 +88,8 @@ def run_command(
     """Run the path file PATH with the live follower of a service, on a simulated compliant arm.
 
     The plan is shown and confirmed before anything moves. Keys while it runs: p pause, r resume, a abort;
-    or `surffollow scan pause NAME` from elsewhere. Ctrl-C aborts. An abort brakes, then retracts. Exit code
+    or `surffollow scan pause NAME` from elsewhere. Ctrl-C aborts. An abort brakes, then retracts, and prints
+    the command that continues the run. Exit code
     1: not finished, or without a valid demand for more than a tenth of the time; 130 after Ctrl-C.
     """
     from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
@@ -91,7 +101,9 @@ def run_command(
             check_picture(expected)
     check_outputs((picture, report), (path, map_file, ground))
     planned = read_path(path)
-    check_executable(planned)
+    with contents_are_read():
+        check_executable(planned)
+    begin_s = begin_of(planned, path, begin)
     if way == "map" and map_file is None:
         raise click.UsageError("--way map needs --map: the map that the service is to have")
     gap = gap_of(planned)
@@ -102,12 +114,16 @@ def run_command(
         # the service holds the heights in steps, also those of a raster
         check_step(HeightMap.load(str(map_file)).quantum_m, gap, str(map_file))
     _show(planned, path, map_file, mapped, picture, unchecked)
+    if begin_s:
+        click.echo(begin_text(planned, begin_s), err=True)
     _confirm(yes)
     shaper = Shaper.zvd(vertical_mode, damping) if vertical_mode > 0.0 else None
     simulated: dict[str, Any] = {"errors": None, "compliance": None} if stiff else {}
     config = ScanRobotConfig(way=way, shaper=shaper, seed=seed, **simulated)
     with ending_signals() as caught:
-        done = _execute(planned, name, config, mapped, map_file if way == "map" else None, caught, wait_s)
+        done = _execute(
+            planned, name, config, mapped, map_file if way == "map" else None, caught, wait_s, begin_s
+        )
     from surffollow.apps.scan_figures import sensed_figures, true_figures
 
     figures: dict[str, Any] = {"sensed": sensed_figures(done)}
@@ -117,6 +133,9 @@ def run_command(
         figures["true"] = true_figures(done, file_surface(ground))
     flat = {f"{k}_{n}": v for k, found in figures.items() for n, v in found.items() if k == "true"}
     _print_gap(done)
+    place = done.summary["continue_from"]
+    command = continuing_command(click.get_current_context(), place) if place else None
+    done.summary["continue_with"] = command
     print_facts({"path": path} | done.summary | figures["sensed"] | flat, as_json)
     if picture:
         from surffollow.apps.scan_report import draw_run
@@ -126,6 +145,8 @@ def run_command(
         from surffollow.apps.scan_report import write_run_report
 
         write_run_report(report, done, figures, mapped)
+    if command:
+        click.echo(f"to continue: {command}", err=True)
     _end(done.summary, bool(caught))
 
 
@@ -159,10 +180,11 @@ def _show(
         click.echo(f"picture of the plan: {picture}", err=True)
     wrong = [f.name for f in findings if not f.ok]
     if wrong and not unchecked:
-        raise ScanInputError(
-            f"`scan check` does not accept the path over {map_file}: {', '.join(wrong)}; plan it again, "
-            "or run it with --unchecked"
-        )
+        with contents_are_read():
+            raise ScanInputError(
+                f"`scan check` does not accept the path over {map_file}: {', '.join(wrong)}; plan it again, "
+                "or run it with --unchecked"
+            )
 
 
 def _confirm(yes: bool) -> None:
@@ -183,6 +205,7 @@ def _execute(
     install: str | None,
     caught: list[int],
     wait_s: float,
+    begin_s: float,
 ) -> Any:
     from surffollow.apps.scan_run import execute
     from surffollow.cli.progress import progress_line
@@ -211,13 +234,16 @@ def _execute(
             aborted=lambda: bool(caught),
             progress=None if show is None else lambda text, part: show(f"{100 * part:3.0f} % {text}"),
             wait_s=wait_s,
+            from_s=begin_s,
         )
 
 
 def _print_gap(done: Any) -> None:
-    """Why the run ended early, and whether the tool was inside the gap, on standard error."""
-    from surffollow.apps.scan_report import inside_text
+    """Why the run ended early, whether it was inside the gap, and what it covered, on standard error."""
+    from surffollow.apps.scan_report import coverage_text, inside_text
+    from surffollow.units import decimal_length, length_unit
 
+    unit = length_unit(float(done.path.facts["gap_m"]))
     if done.summary["stop_reason"]:
         click.echo(f"aborted: {done.summary['stop_reason']}", err=True)
     click.echo(inside_text(done), err=True)
@@ -226,9 +252,10 @@ def _print_gap(done: Any) -> None:
         click.echo(
             f"  {event['t_s']:.2f} s, {place}, x {event['x_m']:.3f}, "
             f"y {event['y_m']:.3f} m: "
-            f"{1e3 * event['clearance_m']:.1f} mm",
+            f"{decimal_length(event['clearance_m'], unit)}",
             err=True,
         )
+    click.echo(coverage_text(done), err=True)
 
 
 def _end(summary: dict[str, Any], interrupted: bool) -> None:
