@@ -121,6 +121,56 @@ def test_a_ring_that_starts_over_the_edge_of_a_plate_stays_over_the_plate(beams,
         assert states[-1].get("normal", (0.0, 0.0, 1.0))[2] > math.cos(math.radians(3.0))
 
 
+@pytest.mark.parametrize("reading_ms", [8, 160])
+@pytest.mark.parametrize(("beams", "middle"), [(3, False), (4, True), (8, False)])
+def test_a_ring_that_starts_beside_a_higher_plate_keeps_its_distance_from_it(beams, middle, reading_ms):
+    """GIVEN a minority of beams over a plate that is nearer THEN the tool rises to its stand-off from that.
+
+    The others agreed, and the beams over the plate were left out for good: 0.3 stand-offs were left.
+    """
+    places = ring(beams, middle, 0.15 * STANDOFF_M)
+    distances, _ = follow(
+        places,
+        len(places) * [UPRIGHT],
+        lambda x: 0.7 * STANDOFF_M if x > 0.01 else 0.0,
+        4.0,
+        0.0,
+        reading_ms=reading_ms,
+    )
+    end = distances[-100:] / STANDOFF_M
+    print(f"at the end {end.min():.2f} to {end.max():.2f} stand-offs from the plate")
+    assert end.min() > 0.95
+    assert end.max() < 1.1
+
+
+@pytest.mark.parametrize("reading_ms", [8, 40])
+@pytest.mark.parametrize("level", [0.4, 0.7])
+def test_a_near_blocked_beam_of_a_square_does_not_lift_the_tool_away(level, reading_ms):
+    """GIVEN a beam blocked at 0.4 or 0.7 stand-offs WHEN the square crosses steps THEN the others count.
+
+    Without a majority the nearest beam counted. A blocked one rises with the tool: it climbed on and on.
+    """
+
+    def blocked(t, ranges, rng):
+        if t > 1.2:
+            ranges = [*ranges]
+            ranges[1] = level * STANDOFF_M + 1e-4 * rng.standard_normal()
+        return ranges
+
+    places = ring(4, radius_m=0.15 * STANDOFF_M)
+    distances, _ = follow(
+        places,
+        4 * [UPRIGHT],
+        lambda x: 0.15 * STANDOFF_M if x % 0.3 > 0.15 else 0.0,
+        6.0,
+        0.125,
+        misread=blocked,
+        reading_ms=reading_ms,
+    )
+    print(f"{distances.min() / STANDOFF_M:.2f} to {distances.max() / STANDOFF_M:.2f} stand-offs")
+    assert distances.max() < 1.6 * STANDOFF_M
+
+
 def test_one_frozen_beam_of_eight_does_not_lead_the_tool_away():
     """GIVEN beam 1 frozen with its noise WHEN the ring has crossed a step down THEN the others count.
 

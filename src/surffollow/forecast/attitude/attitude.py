@@ -93,7 +93,9 @@ def demand_rotation(params, adaptive, sense, output):
         elapsed_s = 0.0
     if elapsed_s > 0.0:
         direction = tested_direction(adaptive.rotation, predicted_normal(params, adaptive))
-        if adaptive.beams.inconsistent != 0:  # the plane may be of the wrong ones
+        # the plane may be of wrong beams; a steeper one may be of an edge that is not confirmed
+        steeper = direction[2] < u[2] and adaptive.pending.samples > 0
+        if adaptive.beams.inconsistent != 0 or steeper:
             direction = u[0], u[1], u[2]
         limit_attitude(params, attitude, direction, elapsed_s)
     attitude.t_ns = now_ns

@@ -10,8 +10,9 @@ import math
 
 from surffollow.forecast import quantities
 from surffollow.forecast.attitude.beam_times import is_recent, lateness_ns
-from surffollow.forecast.attitude.blocked_beam import beam_gate_m, is_blocked, observe_range
+from surffollow.forecast.attitude.blocked_beam import TURNED_SAMPLES, beam_gate_m, is_blocked, observe_range
 from surffollow.forecast.attitude.plane_regression import (
+    farthest_half_squared,
     flat_height,
     half_squared_distance,
     is_bent,
@@ -24,8 +25,6 @@ from surffollow.forecast.plant.observed_axis import predict_pose
 from surffollow.forecast.pose import footprint
 from surffollow.forecast.sensing.standoff import axis_ground_point
 from surffollow.shm.jit import jit
-
-TURNED_SAMPLES = 5  # after so many outside the gate the ground has turned
 
 
 @jit
@@ -192,6 +191,16 @@ def _is_outlier(adaptive, c, deviation, majority, known):
 
 
 @jit
+def near_beam_stays(params, beams, least_m):
+    """Whether a beam has seen ground above a height [m] so often that it is no glitch."""
+    stays = False
+    for c in range(params.n_channels):
+        near = beams.accepted[c] != 0 and beams.height_m[c] > least_m
+        stays = stays or (near and beams.outside_count[c] >= TURNED_SAMPLES)
+    return stays
+
+
+@jit
 def isolate_faults(params, adaptive, t_ns, x_m, y_m):
     """Exclude beams outside the gate, weigh the others; returns how many are accepted.
 
@@ -215,12 +224,17 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         last -= 1
     nearest = beams.sorted_m[last]
     steep = agree < n and n > 2 and is_too_steep(params, adaptive)
-    counts = beams.inconsistent != 0 or (steep and agree < 3)  # two beams against one are no majority there
-    apart, odd = 2 * agree <= n or (counts and nearest > median + gate), -1
     bend_m = max(gate, plausible_bend_m(params, adaptive))
     no_plane = steep or (agree < n and n > 3 and is_bent(adaptive, params.n_channels, bend_m))
+    # over an edge at a start, and over one of three beams, the nearer ground counts: more are no majority
+    stays = steep and agree < 3 and near_beam_stays(params, beams, median + gate)
+    edge = not begun and no_plane and (nearest - median) ** 2 > 2.0 * farthest_half_squared(params, beams)
+    counts = beams.inconsistent != 0 or stays or edge
+    apart, odd = 2 * agree <= n or (counts and nearest > median + gate), -1
     majority, known = majority or steep, begun or no_plane
-    if not apart or n < 3:
+    if n < 3:  # a lost reading ends no disagreement at once
+        beams.inconsistent = max(beams.inconsistent - 1, 0)
+    elif not apart:
         beams.inconsistent = 0
     elif no_plane:
         # one wrong beam of six or more does not count against all others

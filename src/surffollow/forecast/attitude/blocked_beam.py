@@ -14,6 +14,7 @@ from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
 from surffollow.shm.jit import jit
 
+TURNED_SAMPLES = 5  # after so many outside the gate the ground has turned
 CHANGES = 6  # of others by turns in a second: no chance; a range that jumped needs half of them
 
 
@@ -71,16 +72,26 @@ def is_blocked(params, adaptive, c):
     """Whether the range of a beam of three or four stayed while its sensor moved and the others changed.
 
     So one of four that is left out does not come back while the ring turns: it may meet the plane by chance.
+    A near one that counts lifts the tool, and its height rises with the tool. It is blocked when a quarter of
+    the height by which it leads is what the tool has climbed, and its range changed by a quarter of that at
+    most.
     """
-    beams, runs, n = adaptive.beams, adaptive.beam_runs, 0
+    beams, runs, n, leads_m = adaptive.beams, adaptive.beam_runs, 0, math.inf
     for k in range(params.n_channels):
         late_ns = lateness_ns(beams, c) + lateness_ns(beams, k)
-        n += 1 if is_recent(beams, k, beams.t_ns[c], late_ns) else 0
+        recent = is_recent(beams, k, beams.t_ns[c], late_ns)
+        n += 1 if recent else 0
+        if recent and k != c:
+            leads_m = min(leads_m, beams.height_m[c] - beams.height_m[k])
     sigma, number = beam_noise_m(params, adaptive), mean_range.mean_samples(adaptive)
     least_m = MOTION_BANDS * mean_range.mean_band_m(sigma, number)
     changes = runs.changes - runs.changes_before[c]
     of_three_or_out = n == 3 or (n == 4 and beams.accepted[c] == 0)
-    return of_three_or_out and changes >= CHANGES and runs.motion_m[c] > least_m
+    counts = beams.outside_count[c] >= TURNED_SAMPLES if n == 3 else n > 3 and beams.inconsistent != 0
+    motion_m, change_m = runs.motion_m[c], abs(beams.repeat_range_m[c] - runs.range_m[c])
+    stays = 4.0 * motion_m > leads_m > beam_gate_m(params, adaptive) and 4.0 * change_m < motion_m
+    blocked = (counts and stays) or (of_three_or_out and changes >= CHANGES)
+    return blocked and motion_m > least_m
 
 
 @jit

@@ -34,11 +34,17 @@ def plausible_bend_m(params, adaptive):
 
     A twentieth of the stand-off at most: wide rings meet such ground seldom, and faults as large do harm.
     """
-    beams, farthest_m2 = adaptive.beams, 0.0
+    return min(farthest_half_squared(params, adaptive.beams) / params.offset_m, 0.05 * params.offset_m)
+
+
+@jit
+def farthest_half_squared(params, beams):
+    """Half the squared distance from the tool's axis of the farthest accepted beam [m²]."""
+    farthest_m2 = 0.0
     for c in range(params.n_channels):
         if beams.accepted[c] != 0:
             farthest_m2 = max(farthest_m2, half_squared_distance(beams, c))
-    return min(farthest_m2 / params.offset_m, 0.05 * params.offset_m)
+    return farthest_m2
 
 
 @jit
