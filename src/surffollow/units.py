@@ -289,31 +289,6 @@ def length_unit(standoff_m: float) -> tuple[float, str]:
     return (1e3, "mm") if abs(standoff_m) < 1.0 else (1.0, "m")
 
 
-def decimal_length(length_m: float, unit: tuple[float, str]) -> str:
-    """A length as text, to a tenth of a millimetre or, in metres, to a millimetre.
-
-    Parameters
-    ----------
-    length_m : float
-        length [m]
-    unit : (float, str)
-        unit of `length_unit`
-
-    Returns
-    -------
-    str
-        number and unit
-
-    Examples
-    --------
-    >>> from surffollow.units import decimal_length, length_unit
-    >>> decimal_length(0.0523, length_unit(0.1)), decimal_length(1.9867, length_unit(2.0))
-    ('52.3 mm', '1.987 m')
-    """
-    factor, name = unit
-    return f"{factor * length_m:.{1 if name == 'mm' else 3}f} {name}"
-
-
 def is_bare(value: object) -> bool:
     """Whether a quantity, as `parse_quantity` takes it, is a number without a unit.
 

@@ -92,7 +92,7 @@ def test_a_controller_without_a_valid_demand_says_why(language: str, bare: Servi
         robot.claim_pose()
         robot.reset_stop()
     assert (done.returncode, "STOPPED" in done.stderr) == (1, True), done.stderr
-    assert "resets it (reset_stop(), in C sf_stop_reset)" in status
+    assert "resets it (reset_stop(), in C sf_stop_reset, surffollow simulate --reset-stop)" in status
 
 
 @pytest.mark.parametrize("language", CONTROLLERS)

@@ -8,7 +8,8 @@ import numpy as np
 
 from surffollow.apps.scan_robot import ScanRobot
 from surffollow.errors import FaultError
-from surffollow.units import decimal_length, length_unit
+from surffollow.scan.length_text import decimal_length
+from surffollow.units import length_unit
 
 LIFTS = (
     3.0  # times that a lift by the correction's limit takes: longer inside the gap, and the run is aborted

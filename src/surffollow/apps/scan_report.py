@@ -14,10 +14,11 @@ from surffollow.apps.scan_run import Executed
 from surffollow.map.formats.axis_labels import label_axis, label_plan
 from surffollow.scan.check_raster import percent
 from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.length_text import decimal_length
 from surffollow.scan.path import flag_counts
 from surffollow.scan.pictures import draw_relief, new_figure, save_figure
 from surffollow.scan.plan_summary import plan_figures
-from surffollow.units import decimal_length, length_unit
+from surffollow.units import length_unit
 
 
 def draw_run(path: str | os.PathLike[str], done: Executed, ground: TerrainGrid | None) -> None:

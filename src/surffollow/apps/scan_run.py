@@ -20,10 +20,11 @@ from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.errors import FaultError
 from surffollow.scan.checks import Floats
 from surffollow.scan.grid import TerrainGrid
+from surffollow.scan.length_text import decimal_length
 from surffollow.scan.path import ScanPath
 from surffollow.sim.robot_run import Controller, Service
 from surffollow.sim.world import WorldWriter
-from surffollow.units import decimal_length, length_unit
+from surffollow.units import length_unit
 
 REPORT_EVERY_NS = 500_000_000
 RETRACT_S = 10.0  # longest that a retract may take

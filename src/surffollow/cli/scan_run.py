@@ -241,7 +241,8 @@ def _execute(
 def _print_gap(done: Any) -> None:
     """Why the run ended early, whether it was inside the gap, and what it covered, on standard error."""
     from surffollow.apps.scan_report import coverage_text, inside_text
-    from surffollow.units import decimal_length, length_unit
+    from surffollow.scan.length_text import decimal_length
+    from surffollow.units import length_unit
 
     unit = length_unit(float(done.path.facts["gap_m"]))
     if done.summary["stop_reason"]:
