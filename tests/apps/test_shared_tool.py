@@ -159,7 +159,14 @@ def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shar
         thread.start()
     try:
         until(lambda: robot.dev_vector().valid)
-        alone = robot.dev_vector()[2]
+        read = []
+
+        def settled():
+            read.append(robot.dev_vector()[2])
+            return len(read) > 150 and max(read[-150:]) - min(read[-150:]) < 2e-4
+
+        until(settled)
+        alone = read[-1]
         # WHEN another client adds an offset that is relative to another pose
         with attach(shared.name, "avoid") as avoider:
             offset = avoider.resource("offset")
