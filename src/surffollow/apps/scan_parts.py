@@ -19,6 +19,33 @@ ID_DIGITS = 8
 Parts = Sequence[Sequence[float]]
 
 
+class FollowedParts:
+    """Parts of a path's time that a robot has followed.
+
+    Attributes
+    ----------
+    parts_s : list of [begin, end]   in order [s]
+    """
+
+    def __init__(self) -> None:
+        self.parts_s: list[list[float]] = []
+        self._ended = True
+
+    def note(self, here_s: float, follows: bool) -> None:
+        """Note where the robot is [s], and whether it follows the path there; else the part ends before."""
+        if follows and self._ended:
+            self.parts_s.append([here_s, here_s])
+        elif follows:
+            self.parts_s[-1][1] = here_s
+        self._ended = not follows
+
+    def end(self, here_s: float, follows: bool) -> None:
+        """End a part, up to here [s] if the robot has followed so far."""
+        if not self._ended:
+            self.note(here_s, follows)
+        self._ended = True
+
+
 def path_id(path: ScanPath) -> str:
     """Digest of a path's samples and facts: another plan has another one."""
     digest = hashlib.sha256(json.dumps(path.facts, sort_keys=True).encode())

@@ -16,6 +16,7 @@ from surffollow.apps.clearance_monitor import POSES_AHEAD, ClearanceMonitor
 from surffollow.apps.scan_arm_state import TRACE_EVERY, arm_state, base_of, path_columns
 from surffollow.apps.scan_correction import HeightCorrection
 from surffollow.apps.scan_expected import expected_range_m
+from surffollow.apps.scan_parts import FollowedParts
 from surffollow.apps.scan_robot_config import ScanRobotConfig, check_executable
 from surffollow.scan.checks import Floats
 from surffollow.scan.path import ScanPath
@@ -42,10 +43,6 @@ class ScanRobot(CommandedRobot):
     expected_m : (n,) range that the sensor should read at the samples [m]; None: see `expected_range_m`
     monitor : ClearanceMonitor      the gap from readings; None: the plan and the demand alone are used
     from_s : time along the path where it begins, at rest above it [s]
-
-    Attributes
-    ----------
-    followed_s : list of [begin, end]   parts of the path's time [s] with a demand and not inside the gap
 
     Raises
     ------
@@ -95,9 +92,13 @@ class ScanRobot(CommandedRobot):
         self._settled = 0
         self.started_ns = 0
         self.from_s = from_s
-        self.followed_s: list[list[float]] = []
-        self._apart = True
+        self._followed = FollowedParts()
         self._received_ns = self._tick_ns = start_ns
+
+    @property
+    def followed_s(self) -> list[list[float]]:
+        """Parts of the path's time with a demand and not inside the gap, [begin, end] [s]."""
+        return self._followed.parts_s
 
     @property
     def base_m(self) -> Floats:
@@ -236,18 +237,7 @@ class ScanRobot(CommandedRobot):
             if "shaper_s" in self.path.facts and self.from_s == 0.0:
                 self.state["rate"] = 1.0
         self.state["rate_setpoint"] = 0.0 if self.paused or self.blocked else 1.0
-        self._note_followed()
-
-    def _note_followed(self) -> None:
-        """Note the part of the path that it follows, up to here."""
-        here = float(self.state["path_s"][0])
-        if self.inside:
-            self._apart = True
-        elif self._apart:
-            self.followed_s.append([here, here])
-            self._apart = False
-        else:
-            self.followed_s[-1][1] = here
+        self._followed.note(float(self.state["path_s"][0]), not self.inside)
 
     def _ahead(self, column: Floats) -> float:
         """A column of the path where the axis will be when it has reacted."""
@@ -259,9 +249,7 @@ class ScanRobot(CommandedRobot):
         self._received_ns = self._tick_ns = self.t_ns
         if self.leaving:
             return
-        if not self._apart:
-            self._note_followed()
-        self._apart = True
+        self._followed.end(float(self.state["path_s"][0]), not self.inside)
         if not self.holding:
             self.holding = True
             here, rate = float(self.state["path_s"][0]), float(self.state["rate"][0])

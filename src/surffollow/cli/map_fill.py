@@ -26,7 +26,7 @@ def fill_command(
     """Fill holes of a map linearly between known grids; with --region cut it, too.
 
     Known heights stay as they are. Filled grids are priors (count 0). Heights of a raster count as one
-    sample each, so that both can be told apart; a format without counts does not keep that.
+    sample each, which distinguishes both; a format without counts does not keep that.
     """
     from surffollow.map import HeightMap
     from surffollow.map.files import check_suffix, export

@@ -95,8 +95,8 @@ def read_cells(
     """The columns as numbers, one of them as it is written, and the line of each row.
 
     `names`: the columns → what a cell may be, NUMBER, VALUE or READING. `remedy`: what the error of a missing
-    column says. `dated`: the one as written has dates, which become seconds since 1970; None: nobody may say
-    that it has. `units`: those that the column file declares; None: no row may name units.
+    column says. `dated`: the one as written has dates, which become seconds since 1970; None: it cannot be
+    declared. `units`: those that the column file declares; None: no row may name units.
     `progress` gets the finished fraction 0 … 1. The file is decoded line by line: a log may be of gigabytes.
     """
     content = _content(path)

@@ -88,7 +88,7 @@ class SharedObjects:
 
         Raises
         ------
-        BlockError  somebody removed or replaced some: new clients and commands do not find the service
+        BlockError  some were removed or replaced: new clients and commands do not find the service
         """
         current = {
             self.board.name: self.board.is_current(),

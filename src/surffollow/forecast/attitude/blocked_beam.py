@@ -14,6 +14,7 @@ from surffollow.forecast.sensing import mean_range
 from surffollow.forecast.sensing.constant_ranges import MOTION_BANDS
 from surffollow.shm.jit import jit
 
+CLIMB_SHARE = 0.25  # of a lead: climbed so far in vain; of a climb: a range that changed less did not respond
 TURNED_SAMPLES = 5  # after so many outside the gate the ground has turned
 CHANGES = 6  # of others by turns in a second: no chance; a range that jumped needs half of them
 
@@ -89,8 +90,9 @@ def is_blocked(params, adaptive, c):
     of_three_or_out = n == 3 or (n == 4 and beams.accepted[c] == 0)
     counts = beams.outside_count[c] >= TURNED_SAMPLES if n == 3 else n > 3 and beams.inconsistent != 0
     motion_m, change_m = runs.motion_m[c], abs(beams.repeat_range_m[c] - runs.range_m[c])
-    stays = 4.0 * motion_m > leads_m > beam_gate_m(params, adaptive) and 4.0 * change_m < motion_m
-    blocked = (counts and stays) or (of_three_or_out and changes >= CHANGES)
+    climbed = motion_m > CLIMB_SHARE * leads_m and leads_m > beam_gate_m(params, adaptive)
+    in_vain = counts and climbed and change_m < CLIMB_SHARE * motion_m
+    blocked = in_vain or (of_three_or_out and changes >= CHANGES)
     return blocked and motion_m > least_m
 
 

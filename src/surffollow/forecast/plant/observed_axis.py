@@ -65,8 +65,8 @@ def height_is_known(adaptive, sense, t_ns):
 def predict_pose(params, adaptive, sense, t_ns, pose):
     """Pose of the tool at a time into `pose`; behind the newest report it is extrapolated.
 
-    It goes on at constant velocity. The height goes where the observed axis leads it, if that has been nearer
-    to the reports so far. A slow controller moves the tool by steps, which have no constant velocity.
+    Its velocity stays. The height goes where the observed axis leads it, if that has been nearer to the
+    reports so far. A slow controller moves the tool by steps, which have no constant velocity.
 
     Parameters
     ----------
