@@ -74,6 +74,40 @@ def test_a_disagreement_ends_when_samples_of_100_ms_lie_on_one_plane(interval_s,
     assert counted == samples
 
 
+def three_beams(near_m: float):
+    """Parameters and state of three beams on known level ground, of which one sees it nearer."""
+    params, a = default_params(), zeros(AdaptiveState)[0]
+    params["n_channels"], params["offset_m"], params["max_tilt_rad"] = 3, 0.1, 0.8
+    a["plane"]["count"], a["noise"]["sigma_m"], a["hold"]["interval_s"] = 1, 1e-4, 0.01
+    a["beams"]["t_ns"][:3] = 10**9
+    for c, (x, y) in enumerate(((1.0, 0.0), (-0.5, 0.87), (-0.5, -0.87))):
+        a["beams"]["footprint_m"][3 * c : 3 * c + 3] = 0.03 * x, 0.03 * y, near_m * (c == 0)
+    return params, a
+
+
+def test_a_near_beam_of_three_counts_when_it_is_no_glitch():
+    """GIVEN ground 80 mm nearer under one beam, an edge THEN it is left out for 5 samples, then counts."""
+    params, a = three_beams(0.08)
+    counted = []
+    for _ in range(9):
+        isolate_faults(params, a, 10**9, 0.0, 0.0)
+        counted.append(tuple(a["beams"]["accepted"][:3].tolist()))
+    assert counted == 5 * [(0, 1, 1)] + 4 * [(1, 0, 0)]
+    assert a["beams"]["inconsistent"]
+
+
+def test_a_lost_reading_ends_no_disagreement():
+    """GIVEN three beams that disagree WHEN one gives no reading THEN that takes one sample off, not all."""
+    params, a = three_beams(0.08)
+    for _ in range(9):
+        isolate_faults(params, a, 10**9, 0.0, 0.0)
+    left = int(a["beams"]["inconsistent"])
+    a["beams"]["t_ns"][2] = 10**9 - 10**9 // 2
+    isolate_faults(params, a, 10**9, 0.0, 0.0)
+    assert a["beams"]["inconsistent"] == left - 1 > 0
+    assert a["beams"]["accepted"][:3].tolist() == [1, 0, 0]
+
+
 def ring(radius_m: float, standoff_m: float) -> Follower:
     sensors = [
         {"near_m": 0.3 * standoff_m, "far_m": 3.0 * standoff_m, "position_m": [*place, 0.0]}

@@ -121,6 +121,27 @@ def test_a_ring_that_starts_over_the_edge_of_a_plate_stays_over_the_plate(beams,
         assert states[-1].get("normal", (0.0, 0.0, 1.0))[2] > math.cos(math.radians(3.0))
 
 
+@pytest.mark.parametrize("degrees", [0.0, 10.0])
+def test_a_slow_wide_ring_holds_its_direction_while_samples_wait(degrees):
+    """GIVEN readings every 4 τ WHEN three beams cross a step down THEN the tool stays below 1.25 stand-offs.
+
+    It turned toward the edge before that was confirmed, and stood 1.4 to 1.6 stand-offs high.
+    """
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    places = [(c * x - s * y, s * x + c * y, 0.0) for x, y, _ in ring(3, radius_m=0.5 * STANDOFF_M)]
+    speed_mps = 0.03 * STANDOFF_M / TAU_S
+    distances, _ = follow(
+        places,
+        3 * [UPRIGHT],
+        lambda x: -0.7 * STANDOFF_M if x > 0.08 else 0.0,
+        8.0,
+        speed_mps,
+        reading_ms=160,
+    )
+    print(f"{distances.min() / STANDOFF_M:.2f} to {distances.max() / STANDOFF_M:.2f} stand-offs")
+    assert distances.max() < 1.25 * STANDOFF_M
+
+
 @pytest.mark.parametrize("reading_ms", [8, 160])
 @pytest.mark.parametrize(("beams", "middle"), [(3, False), (4, True), (8, False)])
 def test_a_ring_that_starts_beside_a_higher_plate_keeps_its_distance_from_it(beams, middle, reading_ms):
