@@ -20,6 +20,7 @@ CALLS: dict[str, Callable[[Client], object]] = {
     "dev_vector": lambda client: client.dev_vector(),
     "dev_vector_into": lambda client: client.dev_vector_into(bytearray(88)),
     "status": lambda client: client.status(),
+    "audit": lambda client: client.audit(),
 }
 
 

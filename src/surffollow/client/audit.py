@@ -9,8 +9,9 @@ from typing import Any
 
 from surffollow.client.board import Board
 from surffollow.client.fence import fence
-from surffollow.client.latch_reader import unpack_schema
+from surffollow.client.latch_reader import CLOSED_TEXT, unpack_schema
 from surffollow.config.stop_causes import stop_names
+from surffollow.errors import ClosedError
 from surffollow.shm import layout_board as lb
 from surffollow.shm.layout_follow import Params
 
@@ -71,7 +72,25 @@ def audit_line(e: dict[str, Any]) -> str:
 
 
 def read_audit(board: Board) -> list[dict[str, Any]]:
-    """The entries that the board still holds, oldest first; each whole or left out."""
+    """The entries that the board still holds, oldest first; each whole or left out.
+
+    Raises
+    ------
+    ClosedError  another thread closes the board
+    """
+    try:
+        copies, reserved = _copies(board)
+    except ValueError:  # released or unmapped
+        raise ClosedError(CLOSED_TEXT) from None
+    # changes are appended anew before others displace them: each once, in the order of their times
+    whole = {
+        data: unpack_schema(lb.AuditEntry, data) for at, data in copies if reserved - at <= lb.AUDIT_WORDS
+    }
+    return [readable(fields) for fields in sorted(whole.values(), key=lambda fields: fields["t_ns"])]
+
+
+def _copies(board: Board) -> tuple[list[tuple[int, bytes]], int]:
+    """Bytes of the entries with the places where they begin, and what was reserved when all were read."""
     offset, _ = board.regions["audit"]
     words, memory, first = board.words, board.memory, offset // 8
     start, mask = offset + lb.LogHead.SIZE, lb.AUDIT_WORDS - 1
@@ -83,9 +102,4 @@ def read_audit(board: Board) -> list[dict[str, Any]]:
         parts = [(at + k) & mask for k in range(lb.AUDIT_ENTRY_WORDS)]
         copies.append((at, b"".join(bytes(memory[start + 8 * k : start + 8 * k + 8]) for k in parts)))
     fence()
-    reserved = words[first + _RESERVED]
-    # changes are appended anew before others displace them: each once, in the order of their times
-    whole = {
-        data: unpack_schema(lb.AuditEntry, data) for at, data in copies if reserved - at <= lb.AUDIT_WORDS
-    }
-    return [readable(fields) for fields in sorted(whole.values(), key=lambda fields: fields["t_ns"])]
+    return copies, words[first + _RESERVED]
