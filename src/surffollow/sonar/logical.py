@@ -11,12 +11,13 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from numbers import Real
+from numbers import Integral, Real
 
 from surffollow.blocks import F64, I64, AttachedBlock, Block, Memory, Text, mem_attach
 from surffollow.errors import UsageError
+from surffollow.units import real_number
 
-MAX_VALUES = 8
+MAX_VALUES, MAX_NAME_BYTES = 8, 31
 
 
 class LogicalReading(Block):
@@ -85,11 +86,18 @@ class LogicalSensor:
     quantity : str
         name of the quantity, such as "wall_pose" or "front_clearance"
     sources : sequence of Source in order of preference
+
+    Raises
+    ------
+    UsageError
+        no source, more than 62, or a name or an age that none can have
     """
 
     def __init__(self, quantity: str, sources: Sequence[Source]) -> None:
         if not sources or len(sources) > 62:
             raise UsageError(f"logical sensor {quantity!r} has {len(sources)} sources; give 1 to 62")
+        for source in sources:  # here, not when an alternative is needed for the first time
+            _check_source(source)
         self.quantity, self.sources = quantity, tuple(sources)
         self._memory: Memory | None = None
 
@@ -144,10 +152,27 @@ class LogicalSensor:
             self._memory = None
 
 
+def _check_source(source: Source) -> None:
+    name = source.name
+    try:
+        fits = len(name.encode()) <= MAX_NAME_BYTES and name.isprintable()
+    except (AttributeError, UnicodeEncodeError):
+        fits = False
+    if not fits:
+        raise UsageError(
+            f"a source is named {name!r}; a name has up to {MAX_NAME_BYTES} bytes of UTF-8 and no control "
+            "character"
+        )
+    if not real_number(source.max_age_s, "max_age_s") >= 0.0:
+        raise UsageError(f"max_age_s of source {name!r} is {source.max_age_s}; expected 0 s or more")
+
+
 def _is_usable(quantity: Quantity, now_ns: int, max_age_s: float) -> bool:
     values, tolerances = quantity.values, quantity.tolerances
     return (
-        0 < len(values) == len(tolerances) <= MAX_VALUES
+        # a time that the block cannot hold would leave the last value valid in it
+        isinstance(quantity.t_ns, Integral)
+        and 0 < len(values) == len(tolerances) <= MAX_VALUES
         and all(isinstance(x, Real) and math.isfinite(x) for x in (*values, *tolerances))
         and all(x >= 0.0 for x in tolerances)
         and 0 <= now_ns - quantity.t_ns <= max_age_s * 1e9
