@@ -282,8 +282,49 @@ def test_deviations_of_another_number_than_ranges_are_refused_with_both(call, co
         call(positions, np.zeros(3), np.ones(3), ALPHA, sigma_m=np.full(count, 0.005))
 
 
-@pytest.mark.parametrize("k", [-1, 0, 1.5, None, "2"])
+@pytest.mark.parametrize("k", [-1, 0, 1.5, None, "2", True])
 def test_a_number_of_walls_that_is_none_is_refused(k):
     positions = np.array([(0.0, 0.3), (0.0, 0.0), (0.0, -0.3)])
     with pytest.raises(UsageError, match=r"k is .*; expected the most walls"):
         walls(positions, np.zeros(3), np.ones(3), ALPHA, k, sigma_m=0.005)
+
+
+@pytest.mark.parametrize("call", [wall_pose, optimal_pair, fused_pose, walls])
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"ranges_m": ["a", "b"]}, "ranges_m does not hold numbers"),
+        ({"ranges_m": ["0.8", "0.8"]}, "ranges_m does not hold numbers"),
+        ({"ranges_m": [1j, 1.0]}, "ranges_m does not hold numbers"),
+        ({"ranges_m": [True, True]}, "ranges_m does not hold numbers"),
+        ({"positions_m": [[0.0], [0.0, 1.0]]}, "positions_m does not hold numbers, or its rows differ"),
+        ({"headings_rad": [{}, 0.0]}, "headings_rad does not hold numbers"),
+        ({"sigma_m": "1 cm"}, "sigma_m does not hold numbers"),
+        ({"half_beam_rad": "11°"}, "half_beam_rad is '11°'; it must be a number"),
+        ({"max_range_m": "far"}, "max_range_m is 'far'; it must be a number"),
+    ],
+)
+def test_readings_that_are_no_numbers_are_refused_by_name(call, wrong, says):
+    right = {
+        "positions_m": [[0.0, 0.1], [0.0, -0.1]],
+        "headings_rad": [0.0, 0.0],
+        "ranges_m": [1.0, 1.0],
+        "half_beam_rad": ALPHA,
+        "sigma_m": 0.01,
+    }
+    with pytest.raises(UsageError, match=says):
+        call(**right | wrong)
+
+
+def test_walls_have_room_for_as_many_as_there_are_echoes():
+    """A billion walls took 37 GB."""
+    positions = np.array([(0.0, 0.3), (0.0, 0.0), (0.0, -0.3)])
+    readings = (positions, np.zeros(3), np.ones(3), ALPHA)
+    few, many = walls(*readings, 3, sigma_m=0.005), walls(*readings, 10**9, sigma_m=0.005)
+    assert [w.sensors for w in many] == [w.sensors for w in few] == [(0, 1, 2)]
+
+
+@pytest.mark.parametrize("min_sensors", [0, 3, "1", True, 1.5])
+def test_a_least_number_of_echoes_that_has_no_meaning_is_refused(min_sensors):
+    with pytest.raises(UsageError, match="min_sensors is"):
+        walls([(0.0, 0.0)], [0.0], [1.0], ALPHA, sigma_m=0.005, min_sensors=min_sensors)

@@ -109,7 +109,7 @@ def walls(
         standard deviation of the ranges, above 0
     model, max_incidence_rad, max_range_m
         as `wall_pose`
-    min_sensors : int
+    min_sensors : {1, 2}
         1: a lone echo counts as a wall, too, with the covariance that its beam leaves
 
     Returns
@@ -119,7 +119,8 @@ def walls(
     Raises
     ------
     UsageError
-        shapes, units or the model are wrong, sigma_m is not positive, or k is no whole number from 1 on
+        shapes, units or the model are wrong, sigma_m is not positive, k is no whole number from 1 on, or
+        min_sensors neither 1 nor 2
 
     Examples
     --------
@@ -136,14 +137,16 @@ def walls(
     readings = check_readings(
         positions_m, headings_rad, ranges_m, half_beam_rad, model, max_incidence_rad, sigma_m, max_range_m
     )
-    if not isinstance(k, (int, np.integer)) or k < 1:
+    if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or k < 1:
         raise UsageError(f"k is {k!r}; expected the most walls to look for, a whole number from 1 on")
+    if isinstance(min_sensors, bool) or min_sensors not in (1, 2):
+        raise UsageError(f"min_sensors is {min_sensors!r}; expected 1 (a lone echo is a wall, too) or 2")
     readings, (x, y) = about_their_mean(readings)
     if not (readings.sigmas_m > 0.0).all():
         raise UsageError("sigma_m must be positive: the readings are weighed by it")
     m = readings.ranges_m.size
     found, rows = room_for_pairs(m)
-    result, owner = np.empty((k, SOLUTION)), np.empty(m, np.int64)
+    result, owner = np.empty((min(k, max(1, m)), SOLUTION)), np.empty(m, np.int64)
     n = find_walls(
         readings,
         min_sensors,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surffollow.errors import UsageError
+from surffollow.units import real_number
 
 MODELS = ("specular", "diffuse")
 MAX_LENGTH_M = 1e6  # positions, ranges and deviations beyond it are errors of units
@@ -77,9 +78,16 @@ def incidence_limit(half_beam_rad: float, model: str, max_incidence_rad: float |
     return float(max_incidence_rad)
 
 
-def _copied(values: ArrayLike) -> NDArray[np.float64]:
+def _copied(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """A contiguous array that can be written; for others the kernels would be compiled once more."""
-    return np.array(np.ascontiguousarray(values, np.float64))
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind in "SUbc":  # text of numbers, truth values and complex numbers would be taken
+            raise TypeError
+        return np.array(np.ascontiguousarray(given, np.float64))
+    except (TypeError, ValueError):
+        text = f"{name} does not hold numbers, or its rows differ in length: {values!r:.80}"
+        raise UsageError(text) from None
 
 
 def check_readings(
@@ -110,8 +118,10 @@ def check_readings(
     UsageError
         a shape or a value is none that readings have
     """
+    half_beam_rad = real_number(half_beam_rad, "half_beam_rad")
     limit = incidence_limit(half_beam_rad, model, max_incidence_rad)
-    positions, headings, ranges = (_copied(a) for a in (positions_m, headings_rad, ranges_m))
+    positions, headings = _copied(positions_m, "positions_m"), _copied(headings_rad, "headings_rad")
+    ranges, given = _copied(ranges_m, "ranges_m"), _copied(sigma_m, "sigma_m")
     m = headings.size
     if headings.shape != (m,) or ranges.shape != (m,) or positions.shape != (m, 2):
         raise UsageError(
@@ -132,14 +142,15 @@ def check_readings(
         raise UsageError(
             f"ranges_m has the value {ranges[ranges <= 0.0][0]}; use inf for no echo, NaN for none measured"
         )
-    if not max_range_m > 0.0:
+    if not real_number(max_range_m, "max_range_m") > 0.0:
         raise UsageError(f"max_range_m is {max_range_m}; expected a positive distance, or inf")
-    given = np.asarray(sigma_m, np.float64)
+    if np.shape(sigma_m) == ():
+        given = given.reshape(())
     if given.shape not in ((), (m,)):
         raise UsageError(
             f"sigma_m has shape {given.shape} for {m} ranges; expected one number, or one for each range"
         )
-    sigmas = _copied(np.broadcast_to(given, (m,)))
+    sigmas = _copied(np.broadcast_to(given, (m,)), "sigma_m")
     if not ((sigmas == 0.0) | (sigmas >= MIN_SIGMA_M) & (sigmas <= MAX_LENGTH_M)).all():
         raise UsageError(f"sigma_m must be 0 (exact readings), or from {MIN_SIGMA_M:g} to {MAX_LENGTH_M:g} m")
     return Readings(positions, headings, ranges, sigmas, float(half_beam_rad), limit, float(max_range_m))
