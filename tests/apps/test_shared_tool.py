@@ -11,11 +11,13 @@ import pytest
 
 from arbiter.arbiter_process import ArbiterProcess
 from running_service import run_command, until
+from surffollow.apps import shared_tool
 from surffollow.apps.run_by_holder import RunByHolder
 from surffollow.apps.shared_demo import arbiter_text
 from surffollow.apps.shared_tool import RECENT, ReportedPoses, attach_arbitrated, follow
-from surffollow.arbiter import attach, command_reader
+from surffollow.arbiter import Resource, attach, command_reader
 from surffollow.client import attach as attach_service
+from surffollow.errors import NotRunningError, RequestTimeoutError, UsageError
 
 POSE = (0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 1.0)
 
@@ -139,6 +141,111 @@ def test_a_command_is_as_old_as_the_demand_that_it_hands_on(service, shared):
         for thread in threads:
             thread.join()
         robot.close()
+
+
+@pytest.fixture
+def by_priority(tmp_path):
+    with ArbiterProcess(tmp_path, arbiter_text("priority")).running() as server:
+        yield server
+
+
+def test_a_latched_stop_holds_the_robot_under_every_client(service, by_priority):
+    """It held the follower's demands alone: another client moved the robot of a service that was stopped."""
+    # GIVEN a robot that reports its pose, and a client that leads it
+    over = threading.Event()
+    robot = attach_arbitrated(service.name, by_priority.name, "tool")
+
+    def report():
+        while not over.wait(0.002):
+            robot.ee_pos(POSE)
+
+    thread = threading.Thread(target=report)
+    thread.start()
+    try:
+        with attach(by_priority.name, "avoid") as avoider, attach_service(service.name) as operator:
+            tool = avoider.resource("tool")
+            assert tool.request()
+
+            def demand():
+                tool.command(0.0, 0.0, 0.02, 0.0, 0.0, 0.0, ref_t_ns=time.monotonic_ns(), ref_pose=POSE)
+                return robot.dev_vector()
+
+            until(lambda: demand().valid)
+            # WHEN the operator stops the service
+            operator.stop("test")
+            until(lambda: "STOPPED" in operator.dev_vector().names)
+            # THEN no command is a demand, however often it comes
+            for _ in range(50):
+                stopped = demand()
+                assert not stopped.valid
+                assert "STOPPED" in stopped.names
+            # WHEN the pose's holder resets the stop, THEN the client leads again
+            until(lambda: robot.reset_stop(wait=True) is not None)
+            until(lambda: demand().valid)
+    finally:
+        over.set()
+        thread.join()
+        robot.close()
+
+
+def test_the_follower_waits_for_an_arbiter_that_pauses(service, by_priority, monkeypatch):
+    """Half a second without an answer ended it with an error: nothing followed any more."""
+    over, silences, counts = threading.Event(), [], {}
+    monkeypatch.setattr(shared_tool, "WAIT_S", 0.02)
+    request = Resource.request
+
+    def noted(self, **options):
+        try:
+            return request(self, **options)
+        except RequestTimeoutError:
+            silences.append(1)
+            raise
+
+    monkeypatch.setattr(Resource, "request", noted)
+
+    def lead():
+        counts.update(follow(service.name, by_priority.name, "tool", over.is_set))
+
+    with attach(by_priority.name, "avoid") as avoider:
+        tool = avoider.resource("tool")
+        assert tool.request(timeout_s=5.0)
+        thread = threading.Thread(target=lead)
+        thread.start()
+        try:
+            until(lambda: avoider.status()["resources"]["tool"]["queue"])
+            by_priority.freeze()
+            until(lambda: silences)
+            by_priority.go_on()
+            tool.relinquish()
+            until(lambda: (holder := avoider.holder("tool")) and holder.name == "follow")
+        finally:
+            by_priority.go_on()
+            over.set()
+            thread.join()
+    assert counts["gained"] >= 1
+
+
+def test_the_follower_says_that_the_arbiter_ended(service, by_priority):
+    """Where it held the tool, it ended as if it had been asked to."""
+    looks = []
+
+    def stopped():
+        looks.append(1)
+        if len(looks) == 5:
+            by_priority.stop()
+        return False
+
+    with pytest.raises(NotRunningError, match="ended"):
+        follow(service.name, by_priority.name, "tool", stopped)
+
+
+def test_the_follower_asks_for_no_resource_that_cannot_take_its_demand(service, tmp_path):
+    """It held a resource of two values, and ended at its first valid demand."""
+    with ArbiterProcess(tmp_path).running() as server:
+        with pytest.raises(UsageError, match="takes speed, turn_rate; the demand of a service has x, y, z"):
+            follow(service.name, server.name, "robot", lambda: False, "go")
+        with attach(server.name, "go") as client:
+            assert client.status()["resources"]["robot"]["grants"] == 0
 
 
 def test_an_offset_from_another_pose_is_converted_to_the_followers(service, shared):

@@ -6,6 +6,7 @@ that it reports as the resource's status block, so that every client can give it
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -17,7 +18,7 @@ from surffollow.arbiter import observe as observe_arbiter
 from surffollow.blocks import F64, I64, Block, Memory, mem_attach
 from surffollow.client import Client, Ticket
 from surffollow.client import attach as attach_service
-from surffollow.errors import BlockError, FaultError, NotRunningError
+from surffollow.errors import BlockError, FaultError, NotRunningError, RequestTimeoutError, UsageError
 from surffollow.shm.closing import Closing
 
 FOLLOW_PERIOD_S, WAIT_S = 0.002, 0.5
@@ -41,14 +42,15 @@ class ToolDemand:
     def __init__(self, command: ResourceCommand, service: Client) -> None:
         self._values, self.pose_t_ns, self.epoch = command.values, command.ref_t_ns, service.epoch
         self._service = service
-        self.valid = not command.safe and command.ref_t_ns != 0
+        # a latched stop is of the robot, whoever holds the resource (docs/reference/protocol.md#stop)
+        self.valid = not command.safe and command.ref_t_ns != 0 and "STOPPED" not in self.names
 
     def __getitem__(self, index: int, /) -> float:
         return self._values[index]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Status bits of the service's own demand, without VALID: no client commands the tool."""
+        """Status bits of the service's own demand, without VALID: the arbiter's command is another."""
         return tuple(n for n in self._service.dev_vector().names if n != "VALID")
 
 
@@ -182,6 +184,13 @@ def follow(
     -------
     dict   commands sent, times that control was gained and lost, demands whose pose was not known (they
            cannot be summed with a part that is relative to another pose)
+
+    Raises
+    ------
+    NotRunningError
+        the arbiter ended before `stopped` was true
+    UsageError
+        the resource has no commands of six values
     """
     counts = {"commands": 0, "gained": 0, "lost": 0, "without_pose": 0}
     with (
@@ -190,11 +199,24 @@ def follow(
         attach_arbiter(arbiter, client) as clients,
     ):
         tool, leads, last = clients.resource(resource), False, -1
-        while not stopped() and clients.connected:
+        if tool.n_values != len(SIX):
+            raise UsageError(
+                f"resource {resource!r} of arbiter {arbiter!r} takes {', '.join(tool.fields)}; the demand of "
+                f"a service has {', '.join(SIX)}"
+            )
+        while not stopped():
             if not tool.held:
                 counts["lost"] += leads
                 leads = False
-                if not tool.request(wait=True, timeout_s=WAIT_S):
+                try:
+                    granted = tool.request(wait=True, timeout_s=WAIT_S)
+                except RequestTimeoutError:  # the arbiter paused: it is asked again
+                    continue
+                except NotRunningError:
+                    if stopped():
+                        break
+                    raise
+                if not granted:
                     continue
                 leads = True
                 counts["gained"] += 1
@@ -277,7 +299,9 @@ def avoid(
             while not stopped() and clients.connected:
                 newest = status.latest()
                 if newest.generation and not newest.stale:
-                    avoider.tick(int(newest["t_ns"]), newest["pose"])
+                    # when the arbiter pauses, the next look asks again
+                    with contextlib.suppress(RequestTimeoutError):
+                        avoider.tick(int(newest["t_ns"]), newest["pose"])
                 time.sleep(FOLLOW_PERIOD_S)
         except FaultError:
             if not stopped():
