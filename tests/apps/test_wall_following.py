@@ -13,8 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from running_service import begin_command, run_command
-from surffollow.apps import wall_following
+from surffollow.apps import child_processes, wall_following, wall_processes
 from surffollow.apps.base_process import run_base
+from surffollow.apps.child_processes import Child
 from surffollow.apps.wall_clients import Avoid, make_clients
 from surffollow.apps.wall_figures import Run, figures
 from surffollow.apps.wall_following import Arbitration, ring_of, run_experiment, sense, tick
@@ -23,7 +24,7 @@ from surffollow.apps.wall_pictures import figure_of
 from surffollow.apps.wall_processes import run_processes
 from surffollow.apps.wall_sensing import BaseRequest
 from surffollow.cli.base import base_command, wall_follow_command
-from surffollow.errors import ConfigError, MapFileError, UsageError
+from surffollow.errors import ConfigError, MapFileError, ServiceError, UsageError
 from surffollow.sim.base import BaseConfig, SimulatedBase
 
 
@@ -177,6 +178,30 @@ def test_processes_share_the_base_through_the_arbiter():
     assert run.gap_m.min() > 0.1
     assert run.x_m.max() > 4.4
     assert any(e.event == "GRANT" for e in history)
+
+
+@pytest.mark.parametrize("victim", ["arbiter", "go"])
+def test_a_run_without_one_of_its_processes_is_an_error(monkeypatch, victim):
+    """GIVEN a client or the arbiter that is killed THEN the run is none: its figures were those of a run."""
+    children = {}
+
+    class Noted(Child):
+        def __init__(self, what, words, folder):
+            super().__init__(what, words, folder)
+            children[what] = self
+
+    await_clients = wall_processes._await_clients
+
+    def kill_when_all_are_attached(name, expected, child):
+        numbers = await_clients(name, expected, child)
+        if "go" in expected:
+            children[victim].child.kill()
+        return numbers
+
+    monkeypatch.setattr(child_processes, "Child", Noted)
+    monkeypatch.setattr(wall_processes, "_await_clients", kill_when_all_are_attached)
+    with pytest.raises(ServiceError, match=f"the {victim} ended during the run with code -9"):
+        run_processes("paper", 2.0)
 
 
 def test_the_command_prints_json_and_draws(tmp_path):

@@ -18,7 +18,7 @@ from surffollow.apps.wall_figures import Run
 from surffollow.apps.wall_following import ring_of
 from surffollow.arbiter import attach, observe
 from surffollow.blocks import mem_attach
-from surffollow.errors import BlockError, NotRunningError, ServiceError, UsageError
+from surffollow.errors import BlockError, NotRunningError, RequestTimeoutError, ServiceError, UsageError
 from surffollow.sim.base import BaseConfig
 
 SILENT_S = 5.0  # a base that publishes nothing for so long ended; a busy machine may hold it up for a second
@@ -85,11 +85,12 @@ def run_client(name: str, client: str, experiment: str, config: BaseConfig | Non
             received = time.monotonic()
             wish = brain.step(seen, robot.held)
             steps += 1
-            if wish.desired and not robot.held:
-                asked += 1
-                robot.request(timeout_s=0.5)
-            elif not wish.desired and robot.held:
-                robot.relinquish()
+            with contextlib.suppress(RequestTimeoutError):  # the arbiter paused: the next step asks again
+                if wish.desired and not robot.held:
+                    asked += 1
+                    robot.request(timeout_s=0.5)
+                elif not wish.desired and robot.held:
+                    robot.relinquish()
             if wish.desired and robot.held:
                 sent += robot.command(wish.speed, wish.turn_rate)
     return {"client": client, "steps": steps, "commands": sent, "requests": asked}
@@ -132,15 +133,31 @@ def run_processes(
         base = stack.enter_context(running("base", words, folder))
         _await_base(name, base)
         numbers: dict[int, str] = {}
+        children = [arbiter]
         for client in names:  # the one that drives comes last
             words = ["base-client", client, "--name", name, "--experiment", experiment, "--json"]
             child = stack.enter_context(running(client, words, folder))
+            children.append(child)
             numbers = _await_clients(name, names[: names.index(client) + 1], child)
-        base.result(seconds + 60.0)
+        _await_end(base, children, seconds + 60.0)
         with observe(name) as seen:
             history = seen.history(oldest=True).newest(4096)
         run = read_log(log, names, numbers)
     return run, history
+
+
+def _await_end(base: Child, others: list[Child], timeout_s: float) -> None:
+    """Wait for the end of the base; the others outlive it, or the run is another experiment."""
+    deadline, ended = time.monotonic() + timeout_s, False
+    while not ended:
+        ended = base.child.poll() is not None
+        for child in others:
+            if (code := child.child.poll()) is not None:
+                raise child.fail(f"ended during the run with code {code}")
+        if time.monotonic() >= deadline:
+            raise base.fail(f"did not end in {timeout_s:.0f} s")
+        time.sleep(0.0 if ended else 0.05)
+    base.result(timeout_s)
 
 
 def _await_ready(child: Child, timeout_s: float = 90.0) -> None:
