@@ -144,6 +144,34 @@ def test_poses_farther_apart_than_any_part_leads_make_no_sum(tool, pose, swapped
     assert tool.waits() == {}
 
 
+def test_one_report_with_two_poses_makes_no_sum(tool):
+    """GIVEN two poses of one timestamp, 5 m apart THEN one is wrong: they were added as if they agreed."""
+    far = (5.5, 0.5, 0.1, *LEVEL)
+    assert both(tool, far, ref_ns=T0) == (al.SOURCE_SAFE, NONE, 0)
+    assert tool.waits() == {"offset": "pose"}
+    # WHEN it differs by a rounding THEN the lift is converted, as between two reports
+    source, values, _ = both(tool, (0.5, 0.5, 0.1 + 1e-6, *LEVEL), ref_ns=T0)
+    assert source == al.SOURCE_COMBINED
+    assert values == pytest.approx((0.0, 0.0, 0.02 + 1e-6, 0.0, 0.0, 0.0), abs=1e-9)
+    # THEN the same pose, or the time alone, needs no conversion
+    for pose in (POSE, (0.0,) * 7):
+        assert both(tool, pose, ref_ns=T0) == (al.SOURCE_COMBINED, UP, 0)
+
+
+def test_a_sum_is_as_old_as_its_oldest_command(tool):
+    """Its time was that of the addition: a lift of 0.2 s ago looked new with each demand that was added."""
+    tool.send(OFFSET, UP, T0)
+    tool.send(FOLLOW, NONE, T0 + 200 * MS)
+    source, values, _ = tool.published(T0 + 201 * MS)
+    c = tool.reader._block.latest().values
+    assert (source, values) == (al.SOURCE_COMBINED, UP)
+    assert (c.t_ns, c.valid_until_ns) == (T0, T0 + TTL_NS)
+    # the safe command is as old as its publication
+    tool.published(T0 + TTL_NS)
+    c = tool.reader._block.latest().values
+    assert (c.source, c.t_ns) == (al.SOURCE_SAFE, T0 + TTL_NS)
+
+
 def test_the_status_says_since_when_and_what_to_do(tool):
     both(tool, (0.5, 0.5, -9.9, *LEVEL))
     tool.send(OFFSET, UP, T0 + MS, T0 - 10 * MS, (0.5, 0.5, -9.9, *LEVEL))

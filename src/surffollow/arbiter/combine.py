@@ -113,13 +113,37 @@ def can_convert(x: Any, from_pose: Any, to: Any, scratch: Any) -> Any:
 
 
 @jit
+def differs(x: Any, run: Any, of: Any) -> Any:
+    """Whether a command is relative to another pose than the sum: by its time, or by its values.
+
+    One report has one pose: where two clients give it differently, one of them is wrong. A client that gives
+    the time alone means the pose of that report.
+
+    Parameters
+    ----------
+    x : record of `CombinationRun`
+    run, of : record of `ResourceRun`  the part, and the one whose pose the sum has
+    """
+    if run.ref_t_ns != of.ref_t_ns:
+        return True
+    if x.converts == 0 or not (is_pose(run.ref_pose) and is_pose(of.ref_pose)):
+        return False
+    same = True
+    for k in range(len(run.ref_pose)):
+        same = same and run.ref_pose[k] == of.ref_pose[k]
+    return not same
+
+
+@jit
 def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
-    """Sum the parts into `mem.slot`; 1: valid, 0: not. `valid_until_ns` and the pose are filled in, too.
+    """Sum the parts into `mem.slot`; 1: valid, 0: not. Its times and the pose are filled in, too.
+
+    The sum is as old as the oldest command in it.
 
     Parts that name two poses, one of which was not given or is too far from the other, make no sum.
     """
     x, c = mem.combinations[combination], mem.slot[0].command
-    reference, held, valid, until = -1, 0, 1, t_ns + x.ttl_ns
+    reference, held, valid, until, oldest = -1, 0, 1, t_ns + x.ttl_ns, t_ns
     x.apart = -1
     c.ref_t_ns = 0
     for k in range(_VALUES):
@@ -133,19 +157,20 @@ def add_parts(mem: Any, combination: Any, t_ns: Any) -> Any:
         held += 1
         if t_ns >= run.valid_until_ns:
             return 0
-        until = min(until, run.valid_until_ns)
+        until, oldest = min(until, run.valid_until_ns), min(oldest, run.command_ns)
         if run.ref_t_ns != 0 and reference < 0:
             reference = r
             c.ref_t_ns = run.ref_t_ns
     c.valid_until_ns = until
     if held == 0 or valid == 0:
         return 0
+    c.t_ns = oldest
     for i in range(x.n_parts):
         r = x.part[i]
         run = mem.runs[r]
         if mem.machines[r].state == FREE:
             continue
-        if reference >= 0 and run.ref_t_ns != 0 and run.ref_t_ns != c.ref_t_ns:
+        if reference >= 0 and run.ref_t_ns != 0 and differs(x, run, mem.runs[reference]):
             to = mem.runs[reference].ref_pose
             if not can_convert(x, run.ref_pose, to, mem.scratch[0:8]):
                 x.apart = r
@@ -188,7 +213,7 @@ def publish_combination(mem: Any, combination: Any, t_ns: Any) -> None:
     else:
         x.source = _SOURCE_SAFE
         c.flags = 0
-        c.ref_t_ns, c.valid_until_ns = 0, t_ns + 3 * x.period_ns
+        c.t_ns, c.ref_t_ns, c.valid_until_ns = t_ns, 0, t_ns + 3 * x.period_ns
         for k in range(_VALUES):
             c.value[k] = 0.0
     for i in range(x.n_parts):

@@ -119,7 +119,7 @@ class ResourceStatus(Schema):
     priority = I64(doc="of the holder")
     token = I64()
     since_ns = I64(unit="ns", doc="when the holder or the lack of one began")
-    command_ns = I64(unit="ns", doc="when the last command that was forwarded was made")
+    command_ns = I64(unit="ns", doc="when the last command that was forwarded was made, or the grant")
     queue = I64(doc="clients waiting")
     grants = I64()
     preempted = I64(doc="times a holder lost it without asking")
@@ -225,7 +225,7 @@ class Command(Schema):
     """Present command of a resource: the command block NAME.RESOURCE."""
 
     seq = I64(doc="rises by one with each publication")
-    t_ns = I64(unit="ns", doc="when the client made it, or the server the safe command")
+    t_ns = I64(unit="ns", doc="when the client, or for what is safe the server, made it; of a sum the oldest")
     valid_until_ns = I64(unit="ns", doc="from then on do what is safe")
     source = I64(doc="0 safe command, 1 holder, 2 combination")
     flags = I64(doc="bit 0: a value was brought within its limits")

@@ -164,7 +164,7 @@ typedef struct sfa_resource_status {
   int64_t priority; /* of the holder */
   int64_t token;
   int64_t since_ns; /* [ns] when the holder or the lack of one began */
-  int64_t command_ns; /* [ns] when the last command that was forwarded was made */
+  int64_t command_ns; /* [ns] when the last command that was forwarded was made, or the grant */
   int64_t queue; /* clients waiting */
   int64_t grants;
   int64_t preempted; /* times a holder lost it without asking */
@@ -317,7 +317,7 @@ SF_STATIC_ASSERT(offsetof(sfa_board_header, apart_ns) == 448, "layout of sfa_boa
 /* Present command of a resource: the command block NAME.RESOURCE. */
 typedef struct sfa_command_block {
   int64_t seq; /* rises by one with each publication */
-  int64_t t_ns; /* [ns] when the client made it, or the server the safe command */
+  int64_t t_ns; /* [ns] when the client, or for what is safe the server, made it; of a sum the oldest */
   int64_t valid_until_ns; /* [ns] from then on do what is safe */
   int64_t source; /* 0 safe command, 1 holder, 2 combination */
   int64_t flags; /* bit 0: a value was brought within its limits */
