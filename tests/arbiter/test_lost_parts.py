@@ -66,6 +66,12 @@ def waits(server):
     return {w["part"]: w["reason"] for w in status_of(server)["combinations"]["tool"]["waits_for"]}
 
 
+def wait_for(server, part):
+    """The status's entry of a part that the sum waits for."""
+    (wait,) = [w for w in status_of(server)["combinations"]["tool"]["waits_for"] if w["part"] == part]
+    return wait
+
+
 def lose_offset(server, child):
     """A client lifts the tool and is killed; since when the part is lost."""
     lifter = child(lifting(server.name))
@@ -101,6 +107,11 @@ def see_down(follow, reader):
         return not command.safe
 
     until(look, "a valid sum")
+
+
+def see_waits_for_nothing(server, follow):
+    """Follow until the status names no part that the sum waits for."""
+    until(lambda: follow.command(*DOWN) and waits(server) == {}, "a sum that waits for nothing")
 
 
 def acknowledge(server, part):
@@ -156,7 +167,7 @@ def test_a_part_that_was_relinquished_or_never_held_is_not_lost_by_a_restart(ser
         follow = one.resource("follow")
         assert follow.request()
         see_down(follow, reader)
-        assert waits(server) == {}
+        see_waits_for_nothing(server, follow)
         follow.relinquish()
     assert server.stop() == 0
     assert not list(Path("/dev/shm").glob(f"{server.name}*")), "nothing is lost: nothing has to be kept"
@@ -197,31 +208,68 @@ def test_the_status_says_for_which_lost_part_a_sum_waits_and_what_to_do(server, 
     with attach(server.name, "follow") as one, command_reader(server.name, "tool") as reader:
         follow = one.resource("follow")
         assert follow.request()
-        tool = server.command("status")["combinations"]["tool"]
-        assert tool == {"parts": ["follow", "offset", "trim"], "waits_for": []}
+        see_waits_for_nothing(server, follow)
+        assert status_of(server)["combinations"]["tool"]["parts"] == ["follow", "offset", "trim"]
         # WHEN the client of a part is killed
         since_ns = lose_offset(server, child)
         until(lambda: follow.command(*DOWN) and reader.latest().safe)
         see_safe_alone(server, follow, reader)
         # THEN the status names the part, since when, and the way out
-        (wait,) = server.command("status")["combinations"]["tool"]["waits_for"]
+        waiting = server.command("status")["combinations"]["tool"]["waits_for"]
+        (wait,) = [w for w in waiting if w["part"] == "offset"]  # the follower pauses meanwhile
         assert (wait["part"], wait["reason"], wait["since_ns"]) == ("offset", "lost", since_ns)
         assert 0 < wait["for_ns"] < time.monotonic_ns() - since_ns
         way_out = f"surffollow arbiter acknowledge offset --name {server.name} --client CLIENT"
         assert way_out in wait["remedy"]
         words = [sys.executable, "-m", "surffollow", "arbiter", "status", "--name", server.name]
-        (line,) = [t for t in run_command(words).stdout.splitlines() if "safe command" in t]
-        assert "because offset is lost" in line
+        lines = [t for t in run_command(words).stdout.splitlines() if "safe command" in t]
+        (line,) = [t for t in lines if "because offset is lost" in t]
         assert line.endswith(way_out)
         # WHEN that is done, THEN the sum is valid, and waits for nothing
         assert acknowledge(server, "offset").returncode == 0
         see_down(follow, reader)
-        assert waits(server) == {}
+        see_waits_for_nothing(server, follow)
         # THEN a part that is not lost is not touched
         done = acknowledge(server, "follow")
         assert done.returncode != 0
         assert "is not lost" in done.stderr
         assert follow.held
+
+
+def test_the_status_names_a_part_whose_holder_sends_no_command(server):
+    """The sum was its safe command, and the status named no reason."""
+    with attach(server.name, "follow") as one, attach(server.name, "avoid") as other:
+        # GIVEN a sum that is led
+        follow, offset = one.resource("follow"), other.resource("offset")
+        assert follow.request()
+        see_waits_for_nothing(server, follow)
+        # WHEN a client holds a part and sends nothing, THEN the sum waits for it since the grant
+        assert offset.request()
+        until(lambda: follow.command(*DOWN) and waits(server) == {"offset": "late"})
+        granted = status_of(server)["resources"]["offset"]["since_ns"]
+        wait = wait_for(server, "offset")
+        assert wait["since_ns"] == granted
+        assert "client avoid commands offset at least every 250 ms" in wait["remedy"]
+        words = [sys.executable, "-m", "surffollow", "arbiter", "status", "--name", server.name]
+        assert "because offset has a holder that sends no command" in run_command(words).stdout
+        # WHEN its command is over, THEN the sum waits since then
+        until(lambda: offset.command(*UP) and follow.command(*DOWN) and waits(server) == {})
+        until(lambda: follow.command(*DOWN) and waits(server) == {"offset": "late"})
+        made = status_of(server)["resources"]["offset"]["command_ns"]
+        assert wait_for(server, "offset")["since_ns"] == made + 250_000_000
+
+
+def test_the_status_says_since_when_the_server_looked_at_no_client(server):
+    """It showed the holder of before the server's process was stopped as that of now."""
+    words = [sys.executable, "-m", "surffollow", "arbiter", "status", "--name", server.name]
+    assert "looked at no client" not in run_command(words).stdout
+    server.freeze()
+    try:
+        until(lambda: status_of(server)["silent_ns"] > 2e9 * status_of(server)["lease_s"])
+        assert "it has looked at no client for" in run_command(words).stdout
+    finally:
+        server.go_on()
+    until(lambda: status_of(server)["silent_ns"] < 1e9 * status_of(server)["lease_s"])
 
 
 def test_the_status_names_a_required_part_without_a_holder(server):

@@ -16,6 +16,7 @@ from surffollow.config.trusted_users import trusted_owners
 from surffollow.errors import NotRunningError
 from surffollow.shm.closing import Closing
 from surffollow.shm.objects import SharedObject
+from surffollow.units import format_ns
 
 
 class ArbiterObserver(Closing):
@@ -92,12 +93,13 @@ class ArbiterObserver(Closing):
         Returns
         -------
         dict
-            `name`, `alive`, `starting`, `epoch` and `pid` of the server, `lease_s` [s], `rounds` of its loop;
+            `name`, `alive`, `starting`, `epoch` and `pid` of the server, `lease_s` [s], `rounds` of its loop,
+            `silent_ns` since the last of them (all else is of that round);
             `resources`: name → holder, state, queue, counters, `lost_since_ns` (0: not lost),
             `apart_since_ns` (0: its pose can be converted) and declaration;
             `combinations`: name → `parts`, and `waits_for`: parts because of which the sum is its safe
-            command, each with `part`, `reason` ("lost", "required" or "pose"), `since_ns`, `for_ns`
-            and `remedy`;
+            command, each with `part`, `reason` ("lost", "required", "late" or "pose"), `since_ns`,
+            `for_ns` and `remedy`;
             `clients`: a list with number, name, priority, pid and counters of each
         """
         board, h = self.board, self.board.header
@@ -128,13 +130,16 @@ class ArbiterObserver(Closing):
             "pid": h["server_pid"],
             "lease_s": h["lease_ns"] / 1e9,
             "rounds": now["rounds"],
+            "silent_ns": max(0, time.monotonic_ns() - now["heartbeat_ns"]) if now["heartbeat_ns"] else 0,
             "resources": resources,
-            "combinations": self._combinations(resources),
+            "combinations": self._combinations(resources, now["heartbeat_ns"]),
             "clients": clients,
         }
 
-    def _combinations(self, resources: dict[str, dict[str, Any]]) -> dict[str, dict[str, list[Any]]]:
-        """The sums, each with its parts and those that it waits for."""
+    def _combinations(
+        self, resources: dict[str, dict[str, Any]], round_ns: int
+    ) -> dict[str, dict[str, list[Any]]]:
+        """The sums, each with its parts and those that it waited for in the server's last round."""
         found: dict[str, dict[str, list[Any]]] = {}
         for config in self.board.resources:
             part, combination = str(config["name"]), str(config["combination"])
@@ -152,6 +157,13 @@ class ArbiterObserver(Closing):
                 )
             elif config["required"] and s["state"] == "FREE":
                 reason, since_ns = "required", s["since_ns"] or self.board.header["started_ns"]
+            elif s["state"] != "FREE" and round_ns >= s["command_ns"] + config["ttl_ns"]:
+                reason, never = "late", s["command_ns"] == s["since_ns"]  # as the grant left it
+                since_ns = s["since_ns"] if never else s["command_ns"] + config["ttl_ns"]
+                remedy = (
+                    f"client {s['holder']} commands {part} at least every {format_ns(config['ttl_ns'])}, "
+                    "or relinquishes it"
+                )
             elif s["apart_since_ns"]:
                 reason, since_ns = "pose", s["apart_since_ns"]
                 remedy = (

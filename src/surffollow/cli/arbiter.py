@@ -19,6 +19,7 @@ STARTING = 3  # exit code, as of `surffollow status`
 _WAITS = {
     "lost": "is lost (its client ended or fell silent, or the arbiter ended while it was held)",
     "required": "is required and has no holder",
+    "late": "has a holder that sends no command, or too seldom (its program may hang)",
     "pose": "has a pose that cannot be converted (absent, or too far from that of the sum)",
 }
 
@@ -88,6 +89,11 @@ def _print_status(name: str, status: dict[str, Any]) -> None:
         "runs" if status["alive"] else "starts" if status["starting"] else "does not run (its last board)"
     )
     print(f"arbiter {name} {running}, pid {status['pid']}, epoch {status['epoch']}")
+    if status["alive"] and status["silent_ns"] > 1e9 * status["lease_s"]:
+        print(
+            f"  it has looked at no client for {format_ns(status['silent_ns'])}: its process is stopped or "
+            "gets no processor time, and all below is of then"
+        )
     for resource, s in status["resources"].items():
         by = f" by {s['holder']} (priority {s['priority']})" if s["holder"] else ""
         print(
