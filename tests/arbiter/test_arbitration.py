@@ -126,6 +126,38 @@ def test_a_wait_in_vain_leaves_the_queue_and_is_reported(attach_client):
     assert go.holder("robot") is None
 
 
+def test_a_wait_that_an_exception_ends_leaves_the_queue(attach_client, monkeypatch):
+    """It stayed: the client was granted the robot later, without knowing it, and kept others out."""
+    go, wall = attach_client("go"), attach_client("wall")
+    robot = go.resource("robot")
+    assert wall.resource("robot").request()
+
+    def interrupted(*_):
+        assert go.status()["resources"]["robot"]["queue"] == 1
+        raise KeyboardInterrupt
+
+    # WHEN Ctrl-C, or the handler of a signal, ends the wait
+    monkeypatch.setattr(go.exchange, "wait_for_word", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        robot.request(wait=True)
+    # THEN the client waits no more
+    until(lambda: go.status()["resources"]["robot"]["queue"] == 0)
+    wall.resource("robot").relinquish()
+    assert go.holder("robot") is None
+    # THEN what it holds already stays its own
+    assert robot.request()
+    monkeypatch.setattr(go.exchange, "request", interrupted_at_once)
+    with pytest.raises(KeyboardInterrupt):
+        robot.request()
+    monkeypatch.undo()
+    assert robot.request().reason == "KEEP"
+    robot.relinquish()
+
+
+def interrupted_at_once(*_):
+    raise KeyboardInterrupt
+
+
 def test_a_cooperative_holder_is_asked_and_fenced_after_the_grace(attach_client):
     # GIVEN a cooperative resource, and a holder that does not heed
     go, wall = attach_client("go").resource("camera"), attach_client("wall").resource("camera")

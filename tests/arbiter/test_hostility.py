@@ -217,6 +217,30 @@ def test_a_request_that_was_not_answered_in_time_is_withdrawn(make_arbiter):
     assert robot.held
 
 
+def test_a_server_that_does_not_answer_has_not_taken_the_resource_back(make_arbiter):
+    """`relinquish` returned as if it had; `attach` reported that the server ended."""
+    server = make_arbiter().start()
+    with attach(server.name, "go") as go, observe(server.name) as watcher:
+        robot = go.resource("robot")
+        assert robot.request()
+        server.freeze()
+        try:
+            with pytest.raises(RequestTimeoutError, match="'robot' is not given back yet"):
+                robot.relinquish()
+            assert robot.held
+            with pytest.raises(RequestTimeoutError):
+                attach(server.name, "wall", timeout_s=0.05)
+        finally:
+            server.go_on()
+        until(lambda: watcher.status()["resources"]["robot"]["state"] == "FREE")
+        assert not robot.held
+    silent, mine = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with silent, mine:  # it stood still behind its offer
+        mine.settimeout(0.01)
+        with pytest.raises(RequestTimeoutError, match="did not finish the attachment"):
+            hs.confirm_mapping(mine, server.name)
+
+
 # -- strangers ----------------------------------------------------------------------------------------
 
 

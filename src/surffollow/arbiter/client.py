@@ -14,11 +14,11 @@ from surffollow.arbiter import layout as al
 from surffollow.arbiter.board_reader import BoardReader
 from surffollow.arbiter.exchange import Exchange
 from surffollow.arbiter.handshake import MailboxGrant, confirm_mapping, request_slot
-from surffollow.arbiter.observer import ArbiterObserver
+from surffollow.arbiter.observer import ArbiterObserver, observe
 from surffollow.arbiter.resource import Resource
 from surffollow.config.names import check_name
 from surffollow.config.trusted_users import trusted_owners
-from surffollow.errors import NotRunningError, RefusedError
+from surffollow.errors import FaultError, NotRunningError, RefusedError
 
 HEARTBEATS_PER_LEASE = 5
 ATTACH_POLL_S = 0.02
@@ -112,7 +112,7 @@ class ArbiterClient(ArbiterObserver):
 
         Raises
         ------
-        NotRunningError, NoPermissionError, RefusedError, ConfigError
+        NotRunningError, RequestTimeoutError, NoPermissionError, RefusedError, ConfigError
             as `attach`
 
         Notes
@@ -149,6 +149,20 @@ def _close_in_child() -> None:
 os.register_at_fork(after_in_child=_close_in_child)
 
 
+def _require_reachable(name: str, owner: int | str | None) -> None:
+    """Raise NotRunningError with another reason when the server runs, and its socket is not found here."""
+    try:
+        with observe(name, owner=owner) as watcher:
+            alive, pid = watcher.alive(), watcher.board.header["server_pid"]
+    except FaultError:
+        return
+    if alive:
+        raise NotRunningError(
+            f"arbiter {name!r} runs (process {pid}), and its socket is not found here, perhaps because it is "
+            "in another network namespace; run this program in that one (containers: the same network)"
+        )
+
+
 def attach(
     name: str, client: str, *, timeout_s: float = 5.0, owner: int | str | None = None
 ) -> ArbiterClient:
@@ -175,6 +189,8 @@ def attach(
     ------
     NotRunningError
         no server in that time
+    RequestTimeoutError
+        a server that does not answer: its process is stopped or gets no processor time
     NoPermissionError
         a process of another user bears the arbiter's name
     RefusedError
@@ -199,6 +215,7 @@ def attach(
             return ArbiterClient(name, client, request_slot(name, client, timeout_s, owners))
         except NotRunningError:
             if time.monotonic() >= deadline:
+                _require_reachable(name, owner)
                 raise
         except RefusedError as e:
             # a client that ended just now holds its name until the server has let it go

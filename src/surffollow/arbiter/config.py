@@ -16,7 +16,8 @@ from surffollow.config.service import mode, seconds
 from surffollow.config.toml_file import read_toml
 from surffollow.errors import ConfigError, InvalidNameError
 
-TEXT = 255  # letters of all names, or all units, of a command
+TEXT = 255  # bytes of all names, or all units, of a command
+CLIENT_NAME = 47  # letters; the message in which a client names itself holds a 0 behind them
 MAX_PRIORITY = 1_000_000
 # commands that are converted from one reported pose to another, and their units
 DISPLACEMENT = ("x", "y", "z", "rx", "ry", "rz")
@@ -136,6 +137,8 @@ def _check(c: ArbiterConfig) -> None:
         raise ConfigError("declare 1 to 1024 clients under [clients], each with its priority")
     for name, priority in c.clients.items():
         check_name(name)
+        if len(name) > CLIENT_NAME:
+            raise ConfigError(f"client {name!r} has {len(name)} letters; the most is {CLIENT_NAME}")
         if abs(priority) > MAX_PRIORITY:
             raise ConfigError(f"clients.{name} has priority {priority}; the most is {MAX_PRIORITY}")
     for name, spec in c.resources.items():
@@ -163,8 +166,10 @@ def _check_resource(c: ArbiterConfig, name: str, spec: ResourceSpec) -> None:
     if spec.status:
         check_name(spec.status)
     for what, texts in (("command", spec.command), ("units", spec.units)):
-        if len(",".join(texts)) > TEXT or any("," in text for text in texts):
-            raise ConfigError(f"{key}.{what} holds a comma or more than {TEXT} letters in all: {texts!r}")
+        if len(",".join(texts).encode()) > TEXT or any("," in t or not t.isprintable() for t in texts):
+            raise ConfigError(
+                f"{key}.{what} holds a comma, a control character or more than {TEXT} bytes in all: {texts!r}"
+            )
     if not all(math.isfinite(value) for value in spec.safe):
         raise ConfigError(f"{key}.safe is {spec.safe!r}; every value must be finite")
     for what, values in (("safe", spec.safe), ("low", spec.low), ("high", spec.high), ("units", spec.units)):

@@ -119,10 +119,14 @@ def confirm_mapping(sock: socket.socket, name: str) -> None:
     ------
     NotRunningError
         it ended meanwhile
+    RequestTimeoutError
+        it says nothing
     """
     try:
         sock.send(MAPPED)
         received = sock.recv(len(MAPPED)) == MAPPED
+    except TimeoutError:
+        raise RequestTimeoutError(f"arbiter {name!r} did not finish the attachment; attach again") from None
     except OSError:
         received = False
     if not received:

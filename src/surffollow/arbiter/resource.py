@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import operator
 import struct
@@ -13,7 +14,7 @@ from surffollow.arbiter import exchange as ex
 from surffollow.arbiter import layout as al
 from surffollow.arbiter import table
 from surffollow.client.fence import FENCED, fence
-from surffollow.errors import RequestTimeoutError, UsageError
+from surffollow.errors import FaultError, RequestTimeoutError, UsageError
 from surffollow.units import real_number
 
 if TYPE_CHECKING:
@@ -152,15 +153,27 @@ class Resource:
             it ended
         UsageError
             no such time
+
+        Notes
+        -----
+        An exception that ends the wait, such as KeyboardInterrupt, withdraws the request, too.
         """
         if not 0.0 <= real_number(timeout_s, "timeout_s") < MAX_TIMEOUT_S:
             raise UsageError(f"timeout_s is {timeout_s}; expected 0 to {MAX_TIMEOUT_S:g} s")
+        before, sent = self._words[self._held], self._mailbox_words[_HEAD]
+        try:
+            return self._ask(wait, timeout_s)
+        except BaseException:
+            # a server that answers later grants nothing: this program does not know that it would hold it
+            if before == 0 and self._mailbox_words[_HEAD] != sent:
+                with contextlib.suppress(FaultError):
+                    self._exchange.send(self._relinquish, _clock())
+            raise
+
+    def _ask(self, wait: bool, timeout_s: float) -> Reply:
         timeout_ns, words = int(timeout_s * 1e9), self._words
-        before = words[self._held]
         at = self._exchange.request(self._queue_up if wait else self._request, timeout_ns)
         if at < 0:
-            if before == 0:  # a server that answers later grants nothing
-                self._exchange.send(self._relinquish, _clock())
             raise RequestTimeoutError(f"arbiter {self._client.name!r} did not answer in {timeout_s:g} s")
         result = words[at + _RESULT]
         if result == table.GRANT:
@@ -298,5 +311,11 @@ class Resource:
             this client was closed
         NotRunningError
             the server ended
+        RequestTimeoutError
+            the server did not answer; it is given back when the server goes on and this client still lives
         """
-        self._exchange.request(self._relinquish, RELINQUISH_NS)
+        if self._exchange.request(self._relinquish, RELINQUISH_NS) < 0:
+            raise RequestTimeoutError(
+                f"arbiter {self._client.name!r} did not answer in {1e-9 * RELINQUISH_NS:g} s; {self.name!r} "
+                "is not given back yet"
+            )
