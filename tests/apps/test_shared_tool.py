@@ -241,9 +241,10 @@ def test_the_follower_says_that_the_arbiter_ended(service, by_priority):
 
 def test_the_follower_asks_for_no_resource_that_cannot_take_its_demand(service, tmp_path):
     """It held a resource of two values, and ended at its first valid demand."""
+    looks = iter([False] * 20)  # no longer, should it begin
     with ArbiterProcess(tmp_path).running() as server:
         with pytest.raises(UsageError, match="takes speed, turn_rate; the demand of a service has x, y, z"):
-            follow(service.name, server.name, "robot", lambda: False, "go")
+            follow(service.name, server.name, "robot", lambda: next(looks, True), "go")
         with attach(server.name, "go") as client:
             assert client.status()["resources"]["robot"]["grants"] == 0
 
