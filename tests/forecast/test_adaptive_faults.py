@@ -324,8 +324,12 @@ def test_a_state_that_is_not_finite_is_reset_and_following_continues(record, nam
     robot.run(1.5)
     inside = robot.f._state["adaptive"][record][name]
     inside[...] = np.nan
-    robot.run(1.0)
+    robot.run(0.04)
     state = robot.f.state()
+    assert (state["health"], state["reason"]) == ("FAULT", "estimate was not finite and began anew")
+    robot.run(0.96)
+    state = robot.f.state()
+    assert state["health"] == "OK"
     assert "VALID" in state["status"]
     assert "NOT_FINITE" in state["faults"]
     assert np.abs(robot.run(0.5) - 0.1).max() < 5e-4

@@ -42,5 +42,6 @@ def test_a_tool_that_turns_over_has_no_valid_demand_until_it_is_back():
     assert run(f, 1000, 1500, UP, 0.1) == {"VALID"}
     run(f, 1500, 1540, ROLLED, 0.1)
     assert run(f, 1540, 2000, ROLLED, 0.1) == {"not"}
+    assert abs(f.state()["height_m"]) < 1e-3  # nothing was learned from above the tool
     run(f, 2000, 3500, UP, 0.1)
     assert run(f, 3500, 3600, UP, 0.1) == {"VALID"}

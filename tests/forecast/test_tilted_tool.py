@@ -10,6 +10,7 @@ import pytest
 from .tilted import UPRIGHT, Tilted, beam_of, turned
 
 Z_DOWN, X_DOWN = (1.0, 0.0, 0.0, 0.0), (0.0, -math.sqrt(0.5), 0.0, math.sqrt(0.5))
+Y_DOWN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
 
 @pytest.mark.parametrize("pitch_deg", [-30.0, -10.0, -3.0, 3.0, 10.0, 30.0])
@@ -20,13 +21,14 @@ def test_a_tilted_tool_keeps_its_distance_along_its_axis(pitch_deg, slope):
     assert e.std() < 1.5e-4
 
 
-@pytest.mark.parametrize("frame", [Z_DOWN, X_DOWN])
-@pytest.mark.parametrize("pitch_deg", [-20.0, 0.0, 20.0])
-def test_how_the_axes_of_the_tool_are_named_makes_no_difference(frame, pitch_deg):
+@pytest.mark.parametrize("frame", [Z_DOWN, X_DOWN, Y_DOWN])
+@pytest.mark.parametrize("q", [turned(-20.0), turned(0.0), turned(20.0), turned(10.0, -15.0)])
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.003, 0.002, 0.015)])
+def test_how_the_axes_of_the_tool_are_named_makes_no_difference(frame, q, mount):
     assert abs(abs(beam_of(frame)).max() - 1.0) < 1e-12
-    plain = Tilted(turned(pitch_deg), hill_m=4e-3).carry(0.1, 0.5)
+    plain = Tilted(q, hill_m=4e-3, mount=mount).carry(0.1, 0.5)
     np.testing.assert_allclose(
-        Tilted(turned(pitch_deg), hill_m=4e-3, frame=frame).carry(0.1, 0.5), plain, atol=2e-5
+        Tilted(q, hill_m=4e-3, mount=mount, frame=frame).carry(0.1, 0.5), plain, atol=2e-5
     )
 
 
