@@ -25,7 +25,7 @@ class Run:
 
     def __init__(self, sensors, way: Way, ground, seconds: float, blocked_m: float | None = None):
         self.f = f = Follower({"memory": False, "orient": 0, "sensors": sensors}, offset_m=0.1)
-        mounts = [s.get("position_m", [0.0])[0] for s in sensors]
+        mounts = [s.get("position_m", [0.0, 0.0])[:2] for s in sensors]
         rng = np.random.default_rng(0)
         z, v, goal = 0.1 + ground(*way(0.0)[:2]), 0.0, 0.0
         errors = []
@@ -35,8 +35,9 @@ class Run:
                 f.pose(t, (x, y, z, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
                 reported = z
             if k % 4 == 0 or k % 10 == 0:
-                spots = [(x + m * math.cos(yaw), y + m * math.sin(yaw)) for m in mounts]
-                ranges = [z - ground(*s) for s in spots]
+                c, s = math.cos(yaw), math.sin(yaw)
+                spots = [(x + c * ahead - s * aside, y + s * ahead + c * aside) for ahead, aside in mounts]
+                ranges = [z - ground(*spot) for spot in spots]
                 if blocked_m is not None and k > 1000:
                     ranges[-1] = blocked_m
                 d = f.step(t, [r + 5e-5 * rng.standard_normal() for r in ranges])
@@ -222,3 +223,14 @@ def test_no_channel_leads_once_three_of_them_give_a_plane():
         leads.append(float(f._state["adaptive"]["lookahead"]["lead_m"][0]))
     assert leads[299] > 0.04
     assert leads[-1] == 0.0
+
+
+def test_a_sensor_beside_the_path_does_not_lead():
+    """GIVEN a ridge 20 mm beside the path WHEN a channel ahead sees it THEN the tool does not rise for it."""
+
+    def ridge_beside(x, y):
+        return 0.02 if y > 0.01 and x > 0.15 else 0.0
+
+    run = Run([{}, {"position_m": [0.05, 0.02, 0.0]}], lambda t: (0.1 * t, 0.0, 0.0), ridge_beside, 3.0)
+    assert np.abs(run.errors[1000:]).max() < 5e-4
+    assert run.f.state()["preview_share"] == 0.0

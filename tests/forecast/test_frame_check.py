@@ -47,6 +47,7 @@ def test_a_negated_height_ends_the_demands_far_above_the_ground(name, above):
     assert run.states[-1]["health"] == "FAULT"
     assert "shrinks when the tool rises" in run.states[-1]["reason"]
     assert "REVERSED" in run.states[-1]["faults"]
+    assert any("the tool is held or raised" in state["reason"] for state in run.states)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
