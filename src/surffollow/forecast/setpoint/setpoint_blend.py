@@ -126,9 +126,10 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m, renew):
     if turned:  # along the way of the newest sample
         ahead_m, lead_length_m, speed_mps = -ahead_m, -lead_length_m, -speed_mps
     # a change of height is clamped to the plausible slope, or to three RMS slopes of the last metre; where
-    # the tool creeps, to the rate at which ground may move
+    # the tool creeps, to the rate at which ground may move. Steeper ground the axis does not follow
     creeps = 1.0 if is_slow(adaptive) else max(GROUND_SPEED_MPS / abs(speed_mps), 1.0)
     max_slope = max(creeps * quantities.PLAUSIBLE_SLOPE, slope_limit(estimate.slope_power))
+    max_slope = min(max_slope, params.plant_v_max_mps / abs(speed_mps))
     z, slope = compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m)
     if footprint_m > ahead_m:  # the shadow axes of a sensor that leads are compared there
         compute_setpoints(adaptive, footprint_m, lead_length_m, max_slope, standoff_m)
