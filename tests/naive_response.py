@@ -11,7 +11,7 @@ from surffollow.forecast.quantities import APART_M, LEVEL_SHARE, REPEAT_BAND, SL
 from surffollow.forecast.sensing import constant_ranges as c
 from surffollow.forecast.sensing import mean_range as m
 from surffollow.forecast.sensing import response as r
-from surffollow.forecast.sensing.repeated_ranges import LEAST_CHANCE, REPEAT_RATIO
+from surffollow.forecast.sensing.repeated_ranges import REPEAT_RATIO
 
 RUN, HOLD, LIFT, NONE = "run", "hold", "lift", "none"
 
@@ -58,7 +58,7 @@ class NaiveResponse:
     descent_m: tuple[float, float] | None = None  # least and greatest mean range of one that is to be tested
     swing_m: float = 0.0
     shift_z_m: float = 0.0
-    shift_lead_m: float = 0.0
+    shift_excess_m: float = 0.0
     band_m: float = 0.0
     begun_band_m: float = 0.0  # of the run
 
@@ -88,7 +88,7 @@ class NaiveResponse:
 
     @property
     def is_quiet(self) -> bool:
-        return self.usual_m > MIN_NOISE_M and self.spread_m < c.QUIET_SHARE * self.usual_m
+        return self.usual_m > MIN_NOISE_M and self.spread_m < 0.5 * self.usual_m
 
     @property
     def is_repeated(self) -> bool:
@@ -123,7 +123,7 @@ class NaiveResponse:
         if not self.is_quiet:
             self.usual_m += SLOW_RATE * (min(self.spread_m, self.sigma_m) - self.usual_m)
         if not tests and not begins:
-            error_m = min(abs(self.mean_m - self.standoff_m), c.MAX_USUAL_ERROR * self.standoff_m)
+            error_m = min(abs(self.mean_m - self.standoff_m), 0.03 * self.standoff_m)
             self.usual_error_m += SLOW_RATE * (error_m - self.usual_error_m)
         self.in_run += 1
         if self.swing_m == 0.0 and self.number < self.in_run < m.RUN_SAMPLES:
@@ -132,16 +132,16 @@ class NaiveResponse:
         led_m = max(moved_m, abs(self.setpoint_m - self.repeated_setpoint_m))
         fine = self.count_m < REPEAT_BAND * self.sigma_m
         near = fine and self.repeats >= max(5, REPEAT_RATIO * self.usual_repeats) and moved_m > self.band_m
-        rare = self.equal >= REPEAT_RATIO * self.usual_equal and self.chance < LEAST_CHANCE
+        rare = self.equal >= REPEAT_RATIO * self.usual_equal and self.chance < 1e-5
         moved = near or (rare and led_m > self.band_m)
         self.unused = self.repeats > 1 and (self.unused or moved)
         allowed_m = self.band_m if begins else max(self.band_m, self.begun_band_m)
         self.answer_m = max(m.TEST_BAND_FACTOR * self.band_m, r.SWINGS[0] * self.swing_m)
         if self.phase != RUN:
             allowed_m = self.answer_m
-        self.answer_s = self.delay_s + r.STOP_TAUS * self.tau_s + c.MIN_MEANS * self.number * self.interval_s
+        self.answer_s = self.delay_s + 2.0 * self.tau_s + c.MIN_MEANS * self.number * self.interval_s
         if begins or abs(self.mean_m - self.run_m) > allowed_m:
-            back_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s
+            back_s = self.delay_s + 2.0 * self.tau_s + self.number * self.interval_s
             back_ns = t_ns + int(1e9 * back_s)
             if begins:
                 self.settled_ns, self.proven_m = 0, 0.0
@@ -170,21 +170,21 @@ class NaiveResponse:
         self.top_z_m, self.low_z_m = max(self.top_z_m, z_m), min(self.low_z_m, z_m)
         self.rates_mps.append(abs(self.climb_mps))
         descent_m, ascent_m = self.top_z_m - z_m, z_m - self.low_z_m
-        rises = r.ASCENT_SHARE * ascent_m > descent_m and descent_m < self.band_m
+        rises = 0.25 * ascent_m > descent_m and descent_m < self.band_m
         repeats = self.is_repeated
         rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
-        motion_m = r.ASCENT_SHARE * ascent_m if rises else descent_m
+        motion_m = 0.25 * ascent_m if rises else descent_m
         ahead = abs(self.lead_m) >= APART_M
         error_m = 0.0 if ahead else abs(self.run_m - self.standoff_m)
         level_s = LEVEL_SHARE * self.interval_s if self.slow else 0.0
         no_lag = error_m > (m.LAG_TAUS * self.tau_s + level_s) * rate_mps
         work = error_m * motion_m / (self.band_m * self.standoff_m)
-        unusual = error_m > c.USUAL_ERRORS * self.usual_error_m
+        unusual = error_m > 3.0 * self.usual_error_m
         wrong = unusual and error_m > self.band_m and no_lag and work > m.ERROR_MOTION
         enough = motion_m > c.MOTION_BANDS * self.band_m
         quiet = self.is_quiet
         distant = motion_m > c.SHIFT_DESCENT * self.standoff_m
-        faster_m = self.tau_s * (-self.climb_mps - c.SPEEDING * rate_mps)
+        faster_m = self.tau_s * (-self.climb_mps - 1.5 * rate_mps)
         runs_away = distant and faster_m > self.band_m
         suspicious = enough and (wrong or repeats or quiet or self.rotation_failed or runs_away)
         if self.run_error_m() < max(self.band_m, m.LAG_TAUS * self.tau_s * rate_mps):
@@ -195,7 +195,7 @@ class NaiveResponse:
         steep = steep or (comes_back and few)
         wait_s = self.answer_s
         if steep:
-            wait_s = self.delay_s + r.STOP_TAUS * self.tau_s + self.number * self.interval_s - self.tau_s
+            wait_s = self.delay_s + 2.0 * self.tau_s + self.number * self.interval_s - self.tau_s
         least_m = c.MOTION_BANDS * self.band_m
         if comes_back:
             taken_m = rate_mps * (wait_s + self.delay_s + self.tau_s)
@@ -207,7 +207,7 @@ class NaiveResponse:
             return
         if rises and self.slow and not repeats and motion_m <= c.SHIFT_DESCENT * self.standoff_m:
             return
-        doubtful = enough and self.number >= m.MAX_READINGS and no_lag and work > c.SHIFT_ERROR_MOTION
+        doubtful = enough and self.number >= m.MAX_READINGS and no_lag and work > m.ERROR_MOTION / 6.0
         stops_m = rate_mps * (self.delay_s + self.tau_s)
         far = not self.slow and descent_m + stops_m > r.MAX_DESCENT * self.standoff_m
         long = self.in_run > 2.0 * c.MIN_MEANS * self.number
@@ -221,7 +221,7 @@ class NaiveResponse:
             came_back = t_ns - int(1e9 * self.in_run * self.interval_s) < self.settled_ns
             if came_back and not rises and not ahead:
                 self.lift_m += max(self.run_m - self.standoff_m, 0.0)
-            self.shift_z_m, self.shift_lead_m, self.rose = z_m, self._lead_m(z_m), rises
+            self.shift_z_m, self.shift_excess_m, self.rose = z_m, self._excess_m(z_m), rises
             self.highest_m = self._climbs_to_m(z_m) if self.slow else self._ceiling_m(z_m)
         unanswered = self.shift_ns is not None and (t_ns - self.shift_ns) * 1e-9 > wait_s
         self.rose = rises
@@ -235,7 +235,7 @@ class NaiveResponse:
         return self.mean_m - self.standoff_m
 
     def _lift(self, t_ns: int, z_m: float, lift_m: float) -> None:
-        self.lead_before_m = self._lead_m(z_m) - self.lift_m
+        self.excess_before_m = self._excess_m(z_m) - self.lift_m
         self.phase, self.begin_ns, self.begin_z_m = LIFT, t_ns, z_m
         self.lift_m = self.misses_m = lift_m
         self.highest_m = self._ceiling_m(z_m)
@@ -252,16 +252,16 @@ class NaiveResponse:
         sees_m += self.low_z_m if self.rose else self.top_z_m
         return min(self._climbs_to_m(z_m), max(sees_m, z_m + self.lift_m))
 
-    def _lead_m(self, z_m: float) -> float:
+    def _excess_m(self, z_m: float) -> float:
         return self.setpoint_m - z_m - self.climb_mps * (self.tau_s + self.delay_s)
 
     def _test(self, t_ns: int, z_m: float) -> None:
-        missing_m = max(self.begin_z_m + self.lift_m - z_m, self._lead_m(z_m))
+        missing_m = max(self.begin_z_m + self.lift_m - z_m, self._excess_m(z_m))
         if self.rose:
-            missing_m = self._lead_m(z_m) - self.lead_before_m
+            missing_m = self._excess_m(z_m) - self.excess_before_m
         self.misses_m += (missing_m - self.misses_m) / ((4.0 if self.rose else 2.0) * self.number)
         late_s, longest_s = (t_ns - self.begin_ns) * 1e-9 - self.answer_s, c.ANSWER_TAUS * self.tau_s
-        allowed_m = r.OBEYED * self.lift_m if self.rose else self.lift_m - self.answer_m
+        allowed_m = 0.65 * self.lift_m if self.rose else self.lift_m - self.answer_m
         stands = False
         if self.rose:
             rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps)
@@ -290,7 +290,7 @@ class NaiveResponse:
         if self.phase == RUN:
             shifted = self.shift_ns is not None and not self.rose
             rate_mps = math.fsum(self.rates_mps) / len(self.rates_mps) if shifted else 0.0
-            if not shifted or -self.shift_lead_m <= max(self.lift_m, self.tau_s * rate_mps):
+            if not shifted or -self.shift_excess_m <= max(self.lift_m, self.tau_s * rate_mps):
                 return target_m + self.lift_m
             since_s = (self.last_ns - self.shift_ns) * 1e-9 + self.tau_s
             return max(target_m + self.lift_m, self.shift_z_m - rate_mps * since_s + self.lift_m)

@@ -120,9 +120,9 @@ def test_a_trench_that_a_lone_sensor_saw_ahead_is_not_followed_round_a_corner():
 
 def test_a_sensor_ahead_that_stops_leads_no_longer():
     run = Run(UNDER_AND_AHEAD, lambda t: (min(0.1 * t, 0.3), 0.0, 0.0), lambda x, y: 0.0, 3.05)
-    assert run.f._state["adaptive"][0]["lookahead"]["lead_m"] == pytest.approx(0.05, abs=5e-3)
+    assert run.f._state["adaptive"][0]["lookahead"]["ahead_m"] == pytest.approx(0.05, abs=5e-3)
     run = Run(UNDER_AND_AHEAD, lambda t: (min(0.1 * t, 0.3), 0.0, 0.0), lambda x, y: 0.0, 3.3)
-    assert run.f._state["adaptive"][0]["lookahead"]["lead_m"] == 0.0
+    assert run.f._state["adaptive"][0]["lookahead"]["ahead_m"] == 0.0
 
 
 @pytest.mark.parametrize("blocked_m", [0.12, 0.15, 0.2])
@@ -220,7 +220,7 @@ def test_no_channel_leads_once_three_of_them_give_a_plane():
         if k == 300:
             f.set_params(orient="on")
         f.step(t, [0.1, 0.1, 0.1])
-        leads.append(float(f._state["adaptive"]["lookahead"]["lead_m"][0]))
+        leads.append(float(f._state["adaptive"]["lookahead"]["ahead_m"][0]))
     assert leads[299] > 0.04
     assert leads[-1] == 0.0
 

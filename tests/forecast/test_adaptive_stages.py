@@ -19,7 +19,7 @@ from surffollow.forecast.sensing.latency_identification import (
     update_correction,
     update_delay,
 )
-from surffollow.forecast.sensing.sample_hold import count_m, record_sample, reset_hold
+from surffollow.forecast.sensing.sample_hold import record_sample, reset_hold, resolution_m
 from surffollow.forecast.setpoint.setpoint_limits import limit_setpoint
 from surffollow.forecast.step import follow_step
 from surffollow.forecast.terrain.terrain_buffer import buffered_height, store_ground
@@ -495,13 +495,13 @@ def test_a_rest_that_begins_with_a_glitch_identifies_the_latency(glitch_m):
 def test_the_count_of_a_sensor_is_its_least_change_of_many():
     hold, count = zeros(AdaptiveState)[0]["hold"], 5e-3
     for k in range(8):
-        assert count_m(hold) == 0.0, "few changes say nothing: a step of the ground is one"
+        assert resolution_m(hold) == 0.0, "few changes say nothing: a step of the ground is one"
         record_sample(hold, (k + 1) * MS, 0.1 + count * (k % 2))
         record_sample(hold, (k + 1) * MS + 1, 0.1 + count * (k % 2))
     record_sample(hold, 10 * MS, 0.1)
-    assert count_m(hold) == pytest.approx(count, rel=1e-9)
+    assert resolution_m(hold) == pytest.approx(count, rel=1e-9)
     reset_hold(hold)
-    assert count_m(hold) == 0.0
+    assert resolution_m(hold) == 0.0
 
 
 @pytest.mark.parametrize("gap_s", [0.5, 2.0])

@@ -67,7 +67,7 @@ STAGES = (
     "observe_latch",
     "blend_setpoints",
     "plan_period",
-    "target_of_preview",
+    "target_before_limits",
     "permitted_setpoint",
     "limit_setpoint",
     "demand_rotation",

@@ -21,10 +21,12 @@ TAU_S = 0.04
 def test_a_demand_waits_for_half_the_interval_of_reports_and_for_no_more_than_the_parameter(
     interval_ms: int, wait_s: float
 ) -> None:
-    controller = zeros(AdaptiveState)[0]["controller"]
+    a = zeros(AdaptiveState)[0]
+    controller = a["controller"]
     assert mean_wait_s(default_params(), controller) == default_params()["max_wait_s"]  # no report yet
     for k in range(1, 6):
-        observe_latch(controller, zeros(Inputs)[0], True, False, k * interval_ms * MS + 10**9)
+        a["clock"]["now_ns"] = k * interval_ms * MS + 10**9
+        observe_latch(a, zeros(Inputs)[0], True)
     assert mean_wait_s(default_params(), controller) == pytest.approx(wait_s)
 
 

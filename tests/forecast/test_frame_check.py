@@ -11,7 +11,7 @@ import pytest
 from surffollow import Follower
 from surffollow.benchmark.job_loop import BOOM, CELL, Job, follow
 from surffollow.forecast.sensing import frame_check
-from surffollow.forecast.sensing.mean_range import mean_samples
+from surffollow.forecast.sensing.mean_range import samples_in_mean
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
 from surffollow.shm.layout_adaptive_sensing import (
@@ -211,7 +211,7 @@ def test_the_check_is_that_of_its_twin(seed):
     """GIVEN tools that wander over ground that moves WHEN the ranges have either sign THEN twins agree."""
     rng = np.random.default_rng(seed)
     params, a = records()
-    wait_s = 0.005 + 2.0 * 0.04 + 2.0 * mean_samples(a) * 0.01
+    wait_s = 0.005 + 2.0 * 0.04 + 2.0 * samples_in_mean(a) * 0.01
     naive = NaiveFrameCheck(max(0.05 * 0.1, 6.0 * 2e-4), int(1e9 * wait_s))
     sign, z, ground, seen = rng.choice([-1.0, 1.0]), 0.2, 0.0, SimpleNamespace(phases=set())
     share, obeys = rng.choice([0.0, 0.5, 2.0]), rng.random() < 0.7

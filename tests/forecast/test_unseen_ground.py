@@ -6,10 +6,9 @@ import math
 
 import pytest
 
-from surffollow.forecast.adaptive_step import target_of_preview
+from surffollow.forecast.adaptive_step import target_before_limits
 from surffollow.forecast.plant.controller_clock import plan_call_s
-from surffollow.forecast.sensing.health import update_unseen
-from surffollow.forecast.sensing.unseen_ground import rise_rate, uncertain_clearance
+from surffollow.forecast.sensing.health import rise_rate, uncertain_clearance, update_unseen
 from surffollow.forecast.setpoint.setpoint_blend import permitted_setpoint
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
@@ -104,7 +103,7 @@ def test_an_edge_of_known_ground_is_no_rate_that_an_axis_follows():
     a["plant"]["tau_s"], a["clock"]["now_ns"] = 0.04, 10**12
     a["preview"]["sensed_periods"], a["preview"]["ground_m"][1] = 2, -0.02  # 2 m/s
     most_m = 0.2 * (0.04 + params["max_wait_s"])
-    assert target_of_preview(params, a, math.nan, 0.1) == pytest.approx(0.1 - most_m)
+    assert target_before_limits(params, a, math.nan, 0.1) == pytest.approx(0.1 - most_m)
 
 
 def test_only_plans_need_punctual_periods():

@@ -68,7 +68,7 @@ def plan_period(params, adaptive, inputs, pose_t_ns, ahead_m, standoff_m):
 
 
 @jit_inlined
-def target_of_preview(params, adaptive, target_m, standoff_m):
+def target_before_limits(params, adaptive, target_m, standoff_m):
     """Setpoint before the limits: the filtered blend and its shift, and the plan by its share [m].
 
     A sensor that leads measures no ground under the tool: its buffered heights replace the blend.
@@ -79,20 +79,20 @@ def target_of_preview(params, adaptive, target_m, standoff_m):
     target_m : float64    blended setpoint [m]
     standoff_m : float64  desired height of the tool above the ground [m]
     """
-    ahead = adaptive.preview
-    if ahead.sensed_periods >= 2:
+    ground_m, sensed_periods = adaptive.preview.ground_m, adaptive.preview.sensed_periods
+    if sensed_periods >= 2:
         fastest = params.plant_v_max_mps  # an edge of the ground is no rate that an axis can follow
-        rate = min(max((ahead.ground_m[1] - ahead.ground_m[0]) / axis_model.PERIOD_S, -fastest), fastest)
-        lead_s = adaptive.plant.tau_s + controller_clock.mean_wait_s(params, adaptive.controller)
-        target_m = ahead.ground_m[0] + rate * lead_s + standoff_m
+        rate = min(max((ground_m[1] - ground_m[0]) / axis_model.PERIOD_S, -fastest), fastest)
+        late_s = adaptive.plant.tau_s + controller_clock.mean_wait_s(params, adaptive.controller)
+        target_m = ground_m[0] + rate * late_s + standoff_m
     # an axis that is pushed at the velocity d stays τ d beside its setpoint
     target_m -= adaptive.plant.tau_s * adaptive.plant.disturbance_mps
     target_m = setpoint_blend.filter_setpoint(params, adaptive, target_m)
     target_m += tested_setpoint.setpoint_shift_m(adaptive.response)
     planned = adaptive.plan.setpoint_m
-    if ahead.sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
+    if sensed_periods == 0:  # ground that the sensor under the tool has not confirmed
         planned = max(planned, known_ground.lowest_plan(adaptive, target_m))
-    return target_m + ahead.share * (planned - target_m)
+    return target_m + adaptive.preview.share * (planned - target_m)
 
 
 @jit_inlined
@@ -115,7 +115,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     pose_t_ns, tool_z = sense.pose_t_ns[newest], sense.pose[7 * newest + 2]
     sample_ns, before_ns = estimate.sample_ns, adaptive.plant.t_ns  # of the cycle before
     if clock.update_clock(adaptive.clock, inputs.t_ns, pose_t_ns, before_ns):
-        return health.forget(adaptive.health, layout_adaptive.FAULT_CLOCK)
+        return health.restart(adaptive.health, layout_adaptive.FAULT_CLOCK)
     controller_clock.observe_ask(adaptive, inputs)
     reported = pose_t_ns != before_ns
     if reported:
@@ -138,8 +138,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
         setpoint_limits.release_setpoint(setpoint)
         attitude.release_attitude(adaptive.attitude)
     standoff_m = standoff.standoff_height(params, adaptive.plane, sense)
-    takes_each, now_ns = adaptive.own.takes_each != 0, adaptive.clock.now_ns
-    answered = controller_clock.observe_latch(controller, inputs, reported, takes_each, now_ns)
+    answered = controller_clock.observe_latch(adaptive, inputs, reported)
     age_s = (adaptive.clock.now_ns - pose_t_ns) * 1e-9 + controller_clock.mean_wait_s(params, controller)
     ahead = distance_ahead(adaptive, sense, age_s)
     due = controller_clock.period_is_due(adaptive, inputs, adaptive.clock.now_ns)
@@ -147,12 +146,12 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     target = setpoint_blend.blend_setpoints(params, adaptive, ahead, standoff_m, renew)
     if due:
         plan_period(params, adaptive, inputs, pose_t_ns, ahead, standoff_m)
-    target = target_of_preview(params, adaptive, target, standoff_m)
+    target = target_before_limits(params, adaptive, target, standoff_m)
     target = setpoint_blend.permitted_setpoint(params, adaptive, target, tool_z, standoff_m, age_s, stuck)
     setpoint_limits.limit_setpoint(params, adaptive, adaptive.clock.now_ns, target, tool_z)
     demand = setpoint.position_m - tool_z
     if not math.isfinite(demand + estimate.height_m + estimate.slope + estimate.sigma_m):
-        return health.forget(adaptive.health, layout_adaptive.FAULT_NOT_FINITE)
+        return health.restart(adaptive.health, layout_adaptive.FAULT_NOT_FINITE)
     status, state = layout.VALID | close, adaptive.health.state
     if state in (layout_adaptive.DROPOUT, layout_adaptive.OUT_OF_RANGE, layout_adaptive.STUCK):
         status |= layout.NO_SENSOR
@@ -160,7 +159,7 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
     if limited != demand:
         status |= layout.LIMITED
     if close != 0:
-        limited = fold_back.lead_away(params, limited)
+        limited = fold_back.demand_away(params, limited)
     output.demand[2] = limited
     if close != 0 or stuck or not applies:  # away from the surface first, then rotate
         attitude.release_attitude(adaptive.attitude)

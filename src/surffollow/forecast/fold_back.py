@@ -38,7 +38,7 @@ def watch_fold_back(params, fold, channel, range_m, sensor_z_m):
 
 
 @jit_inlined
-def lead_away(params, demand_m):
+def demand_away(params, demand_m):
     """Demand while the branch is not known: at least 1 mm away from the surface [m]."""
     return max(demand_m, min(0.001, params.max_demand_m))
 

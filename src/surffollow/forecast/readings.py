@@ -20,13 +20,6 @@ def lose_channel(sense, c):
 
 
 @jit_inlined
-def lose_outside(sense, c):
-    """A loss of channel `c` by a reading on or outside the valid range."""
-    lose_channel(sense, c)
-    sense.outside += 1 if c == 0 else 0
-
-
-@jit_inlined
 def note_spacing(sense, c, t_ns):
     """Update the usual spacing with a step's newest sample: it shrinks at once and grows slowly.
 
@@ -42,11 +35,12 @@ def note_spacing(sense, c, t_ns):
 
 
 @jit_inlined
-def push_sample(params, sense, c, t_ns, range_m):
-    """Append a valid sample to the channel's window, which a gap before it empties.
+def take_range(params, sense, c, t_ns, range_m):
+    """Append a range to the channel's window, which a gap before it empties.
 
-    A gap is longer than τ/4 and than twice the usual spacing of samples (a slow sensor has no
-    gaps), with a step in it that brought no sample (a slow cycle makes no gaps).
+    A range on or outside the valid range is a loss of its channel. A gap is longer than τ/4 and than twice
+    the usual spacing of samples (a slow sensor has no gaps), with a step in it that brought no sample (a slow
+    cycle makes no gaps).
 
     Parameters
     ----------
@@ -54,8 +48,12 @@ def push_sample(params, sense, c, t_ns, range_m):
     sense : record of `SenseState`  updated
     c : int                         channel
     t_ns : int64                    timestamp of the sample
-    range_m : float64               its distance [m], within the valid range
+    range_m : float64               its distance [m]
     """
+    if not params.range_min_m < range_m < params.range_max_m:
+        lose_channel(sense, c)
+        sense.outside += 1 if c == 0 else 0
+        return
     if sense.missed[c] != 0:
         sense.missed[c] = 0
         gap_ns = t_ns - sense.seen_t_ns[c]
@@ -119,10 +117,8 @@ def take_conversions(params, sense, inputs):
         range_m = params.zero_m[c] + params.scale_m[c] * conversion.conversion_counts(word)
         if (conversion.conversion_flags(word) & conversion.FLAG_INVALID) != 0:
             lose_channel(sense, c)
-        elif params.range_min_m < range_m < params.range_max_m:
-            push_sample(params, sense, c, inputs.t_ns + conversion.conversion_dt_ns(word), range_m)
         else:
-            lose_outside(sense, c)
+            take_range(params, sense, c, inputs.t_ns + conversion.conversion_dt_ns(word), range_m)
     several = params.mode == MODE_ADAPTIVE and params.n_channels > 1
     average_windows(params, sense, 1 if several else params.sensor_readings)
 
@@ -137,10 +133,8 @@ def take_ranges(params, sense, inputs):
     sense.valid[:] = 0
     for c in range(min(inputs.n_ranges, params.n_channels)):
         range_m = inputs.given_m[c]
-        if params.range_min_m < range_m < params.range_max_m:
-            push_sample(params, sense, c, inputs.given_t_ns, range_m)
-        elif range_m == range_m:
-            lose_outside(sense, c)
+        if range_m == range_m:
+            take_range(params, sense, c, inputs.given_t_ns, range_m)
     average_windows(params, sense, params.sensor_readings)
 
 

@@ -130,7 +130,7 @@ def demand_z(params, state, inputs, output, reading_z_m, pose):
         dz = 0.0
     if state.fold.close != 0:
         status |= layout.TOO_CLOSE
-        dz = 0.0 if lost else fold_back.lead_away(params, dz)
+        dz = 0.0 if lost else fold_back.demand_away(params, dz)
     output.demand[2] = dz
     return status
 

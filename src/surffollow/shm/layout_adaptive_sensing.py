@@ -150,7 +150,7 @@ class Response(Schema):
     t_ns = I64(unit="ns", doc="timestamp of the newest sample; 0: none")
     lift_m = F64(unit="m", doc="by which the setpoint is shifted up in a long run and in a lift")
     rises = I64(doc="1: the tool climbs, or climbed when the test began")
-    lead_m = F64(unit="m", doc="excess lead of the unshifted setpoint when the lift or shift began")
+    excess_m = F64(unit="m", doc="unshifted setpoint above the tool, less its lag, when the shift began")
     missing_m = F64(unit="m", doc="by which the tool misses a lift; of an ascent, a running mean")
     test_z_m = F64(unit="m", doc="height of the tool when phase or shift began")
     ceiling_z_m = F64(unit="m", doc="greatest setpoint in a lift, and of a sensor that did not respond")
@@ -201,7 +201,7 @@ class Lookahead(Schema):
 
     range_ns = I64(BEAMS, unit="ns", doc="timestamp of the newest range per channel")
     height_m = F64(BEAMS, unit="m", doc="height of it")
-    lead_m = F64(unit="m", doc="distance of the newest footprint ahead of channel 0's; 0: none leads")
+    ahead_m = F64(unit="m", doc="distance of the newest footprint ahead of channel 0's; 0: none leads")
     seen_ns = I64(unit="ns", doc="when one of them measured ground ahead most recently")
 
 

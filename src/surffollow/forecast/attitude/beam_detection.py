@@ -18,7 +18,6 @@ from surffollow.forecast.attitude.plane_regression import (
     is_bent,
     is_too_steep,
     odd_beam,
-    plausible_bend_m,
 )
 from surffollow.forecast.estimation.noise import estimated_range_noise_m
 from surffollow.forecast.plant.observed_axis import predict_pose
@@ -224,11 +223,14 @@ def isolate_faults(params, adaptive, t_ns, x_m, y_m):
         last -= 1
     nearest = beams.sorted_m[last]
     steep = agree < n and n > 2 and is_too_steep(params, adaptive)
-    bend_m = max(gate, plausible_bend_m(params, adaptive))
+    # ground as curved as a sphere of the stand-off leaves its plane so far under the farthest beam. Wide
+    # rings meet such ground seldom, and faults as large do harm: a twentieth of the stand-off at most
+    farthest_m2 = farthest_half_squared(params, beams)
+    bend_m = max(gate, min(farthest_m2 / params.offset_m, 0.05 * params.offset_m))
     no_plane = steep or (agree < n and n > 3 and is_bent(adaptive, params.n_channels, bend_m))
     # over an edge at a start, and over one of three beams, the nearer ground counts: more are no majority
     stays = steep and agree < 3 and near_beam_stays(params, beams, median + gate)
-    edge = not begun and no_plane and (nearest - median) ** 2 > 2.0 * farthest_half_squared(params, beams)
+    edge = not begun and no_plane and (nearest - median) ** 2 > 2.0 * farthest_m2
     counts = beams.inconsistent != 0 or stays or edge
     apart, odd = 2 * agree <= n or (counts and nearest > median + gate), -1
     majority, known = majority or steep, begun or no_plane

@@ -45,7 +45,7 @@ def observe_range(params, adaptive, c, t_ns, range_m, sensor_z_m):
     sensor_z_m : float64  height of the sensor at that time [m]
     """
     runs, newest_ns = adaptive.beam_runs, adaptive.beams.t_ns[c]
-    number, sigma = mean_range.mean_samples(adaptive), beam_noise_m(params, adaptive)
+    number, sigma = mean_range.samples_in_mean(adaptive), beam_noise_m(params, adaptive)
     deviation, most = range_m - runs.mean_m[c], mean_range.BAND_SIGMAS * sigma
     since_s = (t_ns - newest_ns) * 1e-9
     begins = newest_ns == 0 or not 0.0 <= since_s <= tolerated_gap_s(adaptive.hold.interval_s)
@@ -77,20 +77,20 @@ def is_blocked(params, adaptive, c):
     the height by which it leads is what the tool has climbed, and its range changed by a quarter of that at
     most.
     """
-    beams, runs, n, leads_m = adaptive.beams, adaptive.beam_runs, 0, math.inf
+    beams, runs, n, nearer_m = adaptive.beams, adaptive.beam_runs, 0, math.inf
     for k in range(params.n_channels):
         late_ns = lateness_ns(beams, c) + lateness_ns(beams, k)
         recent = is_recent(beams, k, beams.t_ns[c], late_ns)
         n += 1 if recent else 0
         if recent and k != c:
-            leads_m = min(leads_m, beams.height_m[c] - beams.height_m[k])
-    sigma, number = beam_noise_m(params, adaptive), mean_range.mean_samples(adaptive)
+            nearer_m = min(nearer_m, beams.height_m[c] - beams.height_m[k])
+    sigma, number = beam_noise_m(params, adaptive), mean_range.samples_in_mean(adaptive)
     least_m = MOTION_BANDS * mean_range.mean_band_m(sigma, number)
     changes = runs.changes - runs.changes_before[c]
     of_three_or_out = n == 3 or (n == 4 and beams.accepted[c] == 0)
     counts = beams.outside_count[c] >= TURNED_SAMPLES if n == 3 else n > 3 and beams.inconsistent != 0
     motion_m, change_m = runs.motion_m[c], abs(beams.repeat_range_m[c] - runs.range_m[c])
-    climbed = motion_m > CLIMB_SHARE * leads_m and leads_m > beam_gate_m(params, adaptive)
+    climbed = motion_m > CLIMB_SHARE * nearer_m and nearer_m > beam_gate_m(params, adaptive)
     in_vain = counts and climbed and change_m < CLIMB_SHARE * motion_m
     blocked = in_vain or (of_three_or_out and changes >= CHANGES)
     return blocked and motion_m > least_m

@@ -29,15 +29,6 @@ def half_squared_distance(beams, c):
 
 
 @jit
-def plausible_bend_m(params, adaptive):
-    """How far ground as curved as a sphere of the stand-off leaves its plane under the farthest beam [m].
-
-    A twentieth of the stand-off at most: wide rings meet such ground seldom, and faults as large do harm.
-    """
-    return min(farthest_half_squared(params, adaptive.beams) / params.offset_m, 0.05 * params.offset_m)
-
-
-@jit
 def farthest_half_squared(params, beams):
     """Half the squared distance from the tool's axis of the farthest accepted beam [m²]."""
     farthest_m2 = 0.0

@@ -3,15 +3,16 @@
     ========= ================================================== ===========================================
     |ν|       samples before                                     decision
     ========= ================================================== ===========================================
-    ≤ G/2                                                        ACCEPTED
-    G/2 … G   none withheld on its side, and none rises          WITHHELD, unless samples are sparse
-    G/2 … G   one withheld on its side, or one that rises        ACCEPTED
+    ≤ G₀/2                                                       ACCEPTED
+    G₀/2 … G  none withheld on its side, and none rises          WITHHELD, unless samples are sparse
+    G₀/2 … G  one withheld on its side, or one that rises        ACCEPTED
     > G       too few that agree (`pending_samples`)             PENDING
     > G       enough that agree                                  STEP: every model is shifted
     > G       the same, and more than all accepted ones          RESTART: the first samples were bad
     ========= ================================================== ===========================================
 
-ν is the innovation and G the width of the gate. A single sample beyond G/2 is the edge of a slot or a glitch.
+ν is the innovation, G₀ the usual width of the gate and G that for this sample (`_decide`). A single sample
+beyond G₀/2 is the edge of a slot or a glitch.
 """
 
 import math
@@ -19,7 +20,7 @@ import math
 from surffollow.forecast import quantities
 from surffollow.forecast.estimation import pending_samples
 from surffollow.forecast.modes import adapts
-from surffollow.forecast.sensing.sample_hold import count_m, is_slow
+from surffollow.forecast.sensing.sample_hold import is_slow, resolution_m
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import ACCEPTED, PENDING, RESTART, STEP, WITHHELD
 
@@ -67,9 +68,10 @@ def gate_sample(params, adaptive, innovation_m, travel_m, change_limit_m):
 def _decide(params, adaptive, innovation_m, travel_m, change_limit_m, rises_on):
     """Decision on a sample.
 
-    With u = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `change_limit_m`
-    while no slope is known, G = max(u, plausible). Samples are sparse, and each counts, where the plausible
-    change exceeds u. Behind a drop-out a second one comes soon: they are sparse if they usually are.
+    With G₀ = max(`gate_scales` · usual |ν|, `gate_m`, two counts) and plausible = 0.2 d, or `change_limit_m`
+    while no slope is known, G = max(G₀, plausible); until then the inner gate is G/2. Samples are sparse, and
+    each counts, where the plausible change exceeds G₀. Behind a drop-out a second one comes soon: they are
+    sparse if they usually are.
     """
     gate, samples = adaptive.gate, adaptive.estimate.samples
     usual, sparse_m = gate_width(params, adaptive), quantities.PLAUSIBLE_SLOPE * travel_m
@@ -165,7 +167,7 @@ def update_scale(gate, innovation_m):
 @jit
 def gate_width(params, adaptive):
     """Usual width of the gate [m]: neighbouring counts of a coarse sensor agree."""
-    return max(params.gate_scales * adaptive.gate.scale_m, params.gate_m, 2.0 * count_m(adaptive.hold))
+    return max(params.gate_scales * adaptive.gate.scale_m, params.gate_m, 2.0 * resolution_m(adaptive.hold))
 
 
 @jit
@@ -187,6 +189,6 @@ def withheld_setpoint(adaptive, standoff_m):
 @jit
 def reset_gate(gate, pending):
     """Drop pending samples and the last step; scale and likelihood of slots stay."""
-    pending_samples.reset_pending(pending)
+    pending_samples.drop_pending(pending, pending.rejected)
     gate.unconfirmed_m = gate.withheld_m = gate.travel_since_step_m = gate.step_m = 0.0
     gate.nearer = gate.step_ns = 0

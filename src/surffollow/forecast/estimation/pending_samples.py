@@ -6,7 +6,7 @@ because it may be a slot. The distance depends on the likelihood of slots: slots
 
 from surffollow.forecast.plant.axis_model import is_long
 from surffollow.forecast.quantities import CONFIRMATION_SAMPLES, MAX_SLOPE, PAUSE_NS
-from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS, count_m, is_slow
+from surffollow.forecast.sensing.sample_hold import HOLD_TOLERANCE_COUNTS, is_slow, resolution_m
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import PENDING_HEIGHTS
 
@@ -29,7 +29,7 @@ def _agrees(params, adaptive, innovation_m, travel_m):
     pending, inner_m = adaptive.pending, INNER_GATE * adaptive.gate.width_m
     height_m = adaptive.estimate.height_m + innovation_m
     further_m = height_m - pending.kept_height_m[(pending.samples - 1) & (PENDING_HEIGHTS - 1)]
-    tolerance = max(inner_m, params.gate_m, HOLD_TOLERANCE_COUNTS * count_m(adaptive.hold))
+    tolerance = max(inner_m, params.gate_m, HOLD_TOLERANCE_COUNTS * resolution_m(adaptive.hold))
     tolerance += travel_m
     if further_m > 0.0 or adaptive.estimate.rests != 0:
         nearer_m = travel_m if innovation_m > 0.0 else 0.0
@@ -51,12 +51,15 @@ def _add_pending(adaptive, innovation_m, travel_m):
 
 
 @jit
-def _count_rejected(pending):
-    """Count the pending samples as outliers that did not agree with the next one."""
+def reject_pending(pending):
+    """Drop the pending samples, and count them as outliers: the next sample does not agree with them."""
+    if pending.samples == 0:
+        return
     pending.rejected += 1
     innovation_m = pending.innovation_m / pending.samples
     pending.least_m = min(pending.least_m, innovation_m)
     pending.greatest_m = max(pending.greatest_m, innovation_m)
+    pending.samples = 0
 
 
 @jit
@@ -100,10 +103,10 @@ def confirm_by(params, adaptive, innovation_m, travel_m, rises_on):
         return False
     pending.odd = 0
     if not agrees:  # with none before it: the pending samples begin with it
-        if pending.samples > 0:
-            _count_rejected(pending)
-            pending.opposed += 1 if innovation_m * pending.innovation_m < 0.0 else 0
-        pending.samples, pending.t_ns = 0, estimate.sample_ns
+        opposed = pending.samples > 0 and innovation_m * pending.innovation_m < 0.0
+        pending.opposed += 1 if opposed else 0
+        reject_pending(pending)
+        pending.t_ns = estimate.sample_ns
         pending.travel_m = pending.innovation_m = pending.arc_length_m = pending.height_m = 0.0
         travel_m = 0.0
     _add_pending(adaptive, innovation_m, travel_m)
@@ -140,24 +143,9 @@ def pending_slope(pending, least_m):
 
 
 @jit
-def reject_pending(pending):
-    """Drop the pending samples: a sample inside the gate that waits agrees with none of them."""
-    if pending.samples > 0:
-        _count_rejected(pending)
-        pending.samples = 0
-
-
-@jit
-def reset_pending(pending):
-    """Drop the pending samples, and the number of rejected ones."""
-    pending.samples = pending.rejected = pending.opposed = 0
-    pending.least_m = pending.greatest_m = 0.0
-
-
-@jit
-def drop_pending(pending):
-    """Drop the pending samples after an accepted one; in noise some are accepted by chance."""
-    pending.samples, pending.rejected = 0, max(pending.rejected - 1, 0)
+def drop_pending(pending, accepted=1):
+    """Drop the pending samples, and a rejected one per accepted one; in noise some are accepted by chance."""
+    pending.samples, pending.rejected = 0, max(pending.rejected - accepted, 0)
     pending.opposed = min(pending.opposed, pending.rejected)
     if pending.rejected == 0:
         pending.least_m = pending.greatest_m = 0.0

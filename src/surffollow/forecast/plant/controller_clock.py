@@ -9,14 +9,13 @@ report, or each answer: which, his reports show (`own_setpoints`).
 import math
 
 from surffollow.forecast.plant.axis_model import PERIOD_S
-from surffollow.forecast.quantities import LONG_GAP_NS, MAX_GAP_NS, follow_interval
+from surffollow.forecast.quantities import MAX_GAP_NS, follow_interval
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_estimation import N_PERIODS
 
 LATCH_DELAY_NS = 500_000  # latch time before the cycle of a service that sees the report, on average
 # a controller period, in those of a plan: more frequent latches need no care; plans are too short for more
 SHORTEST_PERIODS, LONGEST_PERIODS = 0.6, 3.0
-DUE_INTERVALS = 0.9  # behind a reading the next one is due, however punctual it is
 
 
 @jit
@@ -35,8 +34,8 @@ def latch_time(adaptive, inputs, now_ns):
     controller, call_s = adaptive.controller, plan_call_s(adaptive)
     interval_s, since_ns = controller.interval_ns * 1e-9, now_ns - controller.latched_ns
     answers_each = inputs.n_ranges > 0 and not 0.0 < call_s < 0.5 * interval_s
-    usual = SHORTEST_PERIODS * PERIOD_S < interval_s < LONGEST_PERIODS * PERIOD_S
-    if not usual or answers_each or not 0 <= since_ns < MAX_GAP_NS:
+    plannable = SHORTEST_PERIODS * PERIOD_S < interval_s < LONGEST_PERIODS * PERIOD_S
+    if not plannable or answers_each or not 0 <= since_ns < MAX_GAP_NS:
         return now_ns
     period_ns = int(controller.interval_ns)
     return now_ns + period_ns - since_ns % period_ns
@@ -92,34 +91,26 @@ def observe_ask(adaptive, inputs):
         return
     controller.asked_ns = now_ns
     since_s, interval_s = (now_ns - health.reading_ns[0]) * 1e-9, health.interval_s[0]
-    if interval_s == 0.0 or since_s < DUE_INTERVALS * interval_s:
+    if interval_s == 0.0 or since_s < 0.9 * interval_s:  # readings are not punctual
         controller.declared_ns = now_ns
 
 
 @jit
-def declares_latches(controller, inputs, now_ns):
-    """Whether steps without a reading say which answers a caller in process takes."""
-    return inputs.n_ranges > 0 and now_ns - controller.declared_ns < LONG_GAP_NS
-
-
-@jit
-def observe_latch(controller, inputs, reported, takes_each, now_ns):
+def observe_latch(adaptive, inputs, reported):
     """Update the period with a latch, which ends a pending one.
 
     Parameters
     ----------
-    controller, inputs : records of `Controller` (updated), `Inputs`
-    reported : bool        there is a new pose report
-    takes_each : bool      a caller in process takes each demand (`own_setpoints`)
-    now_ns : int64
+    adaptive, inputs : records of `AdaptiveState` (`controller` updated), `Inputs`
+    reported : bool  there is a new pose report
 
     Returns
     -------
     bool  a caller in process who does not take each demand takes that of this cycle
     """
-    in_process = inputs.n_ranges > 0
+    controller, now_ns, in_process = adaptive.controller, adaptive.clock.now_ns, inputs.n_ranges > 0
     asked = now_ns == controller.asked_ns or (reported and now_ns - controller.asked_ns >= MAX_GAP_NS)
-    if not (asked or takes_each if in_process else reported):
+    if not (asked or adaptive.own.takes_each != 0 if in_process else reported):
         return False
     t_ns = now_ns if in_process else now_ns - LATCH_DELAY_NS
     controller.interval_ns = usual_interval(controller.interval_ns, t_ns - controller.latched_ns)

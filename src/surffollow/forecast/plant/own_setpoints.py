@@ -11,9 +11,6 @@ from surffollow.forecast.quantities import USUAL_SAMPLES
 from surffollow.shm.jit import jit, jit_inlined
 from surffollow.shm.layout_adaptive import N_LATCHES
 
-OTHER_SHARE = 0.5  # of the mean error: a series with less is the one latched, and no chance
-LEAST_SUM = 4.0  # of the least noise: errors of the first reports that are no chance
-
 
 @jit
 def record_setpoint(setpoints, t_ns, setpoint_m):
@@ -57,8 +54,9 @@ def compare_series(own, error_m, other_error_m):
     own.compared = min(own.compared + 1, USUAL_SAMPLES)
     own.error_m += (error_m - own.error_m) / own.compared
     own.other_error_m += (other_error_m - own.other_error_m) / own.compared
-    least_m = max(MIN_NOISE_M, LEAST_SUM * MIN_NOISE_M / own.compared)
-    if own.error_m <= least_m or own.other_error_m >= OTHER_SHARE * own.error_m:
+    # less than the sum of four errors in the least noise, or more than half of the mean error, is chance
+    least_m = max(MIN_NOISE_M, 4.0 * MIN_NOISE_M / own.compared)
+    if own.error_m <= least_m or own.other_error_m >= 0.5 * own.error_m:
         return False
     own.takes_each = 1 - own.takes_each
     own.error_m, own.other_error_m = own.other_error_m, own.error_m

@@ -26,7 +26,6 @@ from surffollow.shm.layout_follow import RUN_NORMAL
 
 TAU_RATIO = 1.5  # between neighbouring τ
 FOLLOWS_M = 3e-3  # from each axis model: farther away the robot does not follow
-NOISE_SIGMAS = 5.0  # of the reported heights: an error of an axis model beyond is no noise
 # gains of the observed axis per report: position, velocity [1/s], disturbance [1/s]. The last is learned over
 # 3 to 4 s, some 100 τ: what is quicker may be the axis itself, which the models describe roughly
 AXIS_GAINS = (0.3, 2.0, 0.1)
@@ -134,8 +133,8 @@ def update_plant(params, adaptive, sense, inputs):
         return
     correct_axis(params, adaptive, t, z)
     # between slow reports poses with old timestamps, too, are a sluggish axis: a longer τ is right
-    adapts = learns(params, adaptive) and params.run == RUN_NORMAL and (slow or not is_pushed(plant))
-    if adapts and least_m < axis_model.MAX_MODEL_ERROR_M:
+    applied = params.run == RUN_NORMAL and (slow or not is_pushed(plant))
+    if learns(params, adaptive) and applied and least_m < axis_model.MAX_MODEL_ERROR_M:
         learn_time_constant(plant, z)
 
 
@@ -174,8 +173,8 @@ def choose_setpoints(adaptive, inputs, z_m, other_m, other_mps):
     z_m : float64                  reported height of the tool [m]
     other_m, other_mps : float64   axis from `propagate_axes`
     """
-    plant = adaptive.plant
-    if controller_clock.declares_latches(adaptive.controller, inputs, adaptive.clock.now_ns):
+    plant, declared_ns = adaptive.plant, adaptive.controller.declared_ns
+    if inputs.n_ranges > 0 and adaptive.clock.now_ns - declared_ns < LONG_GAP_NS:  # the caller says it
         own_setpoints.take_reports(adaptive.own)
         return
     error_m, other_error_m = z_m - plant.offset_m - plant.axis_m, z_m - plant.offset_m - other_m
@@ -196,10 +195,11 @@ def suspend_plan(adaptive, t_ns, least_m):
     least_m : float64  least distance of an axis model from it [m]
     """
     plant, leads = adaptive.plant, sensor_leads(adaptive)
-    # what neither the axis nor a constant velocity explains is noise of the reports. With half of the least
-    # limit waves at the limits of an axis as configured end the plans, with 1.5 times other axes swing
+    # what neither the axis nor a constant velocity explains is noise of the reports, of which five are no
+    # chance. With half of the least limit waves at the limits of an axis as configured end the plans, with
+    # 1.5 times other axes swing
     noise_m = min(plant.scatter_m, adaptive.kinematics.climb_scatter_m)
-    limit_m = min(max(2.0 * axis_model.MAX_MODEL_ERROR_M, NOISE_SIGMAS * noise_m), FOLLOWS_M)
+    limit_m = min(max(2.0 * axis_model.MAX_MODEL_ERROR_M, 5.0 * noise_m), FOLLOWS_M)
     # without a plan a lone leading sensor loses more, and under a push that is not known yet most
     if not least_m < (FOLLOWS_M if leads else limit_m) and not (leads and is_pushed(plant)):
         suspend_preview(adaptive.preview, t_ns + 500_000_000)

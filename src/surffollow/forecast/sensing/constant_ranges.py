@@ -16,15 +16,10 @@ from surffollow.shm import layout_adaptive_sensing as layout
 from surffollow.shm.jit import jit
 
 MOTION_BANDS = 4.0  # motion of a test: shorter descents, and ranges that change less, hide in the noise
-SHIFT_ERROR_MOTION = mean_range.ERROR_MOTION / 6.0  # from which the setpoint is shifted up …
-SHIFT_DESCENT = 0.25  # … or beyond this share of the stand-off
+SHIFT_DESCENT = 0.25  # of the stand-off: from such a descent on the setpoint is shifted up without a sign
 MAX_DESCENT = 0.8  # of the stand-off: a tool that would descend farther before it stops is held at once
-QUIET_SHARE = 0.5  # of the usual deviation from the mean: less is a sign of a fault
-USUAL_ERRORS = 3.0  # errors up to so many usual ones, as over ground that accelerates, are no sign of a fault
-MAX_USUAL_ERROR = 0.03  # of the stand-off: another controller may have led the tool far away from it
 MAX_UNSEEN = 0.35  # of the stand-off: clearance that may be lost unseen
 STEADY_M = 0.3  # over which ground with a mean slope has it: that of shorter waves is small
-SPEEDING = 1.5  # times its mean rate: a descent with a constant range that is now faster runs away
 ANSWER_TAUS = 10.0  # in which a range may change under a tool that climbs: on ground that bends it may stay
 MIN_MEANS = 2.0  # independent means in an answer or a run; twice as many in a run without a suspicion
 
@@ -70,7 +65,7 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
     sigma_m : float64  standard deviation of ranges [m]; more is no noise, and not learned as usual
     most_m : float64   a range moves the mean as if it were so far away at most [m]
     """
-    run, number = adaptive.run, mean_range.mean_samples(adaptive)
+    run, number = adaptive.run, mean_range.samples_in_mean(adaptive)
     deviation_m = min(max(range_m - run.mean_m, -most_m), most_m)
     run.mean_m += deviation_m / number
     noise_m = min(abs(deviation_m), mean_range.BAND_SIGMAS * sigma_m)
@@ -78,7 +73,8 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
     if not is_quiet(run):  # noise far below the usual one is not learned
         run.usual_m += SLOW_RATE * (min(run.spread_m, sigma_m) - run.usual_m)
     if not moves_tool(adaptive.response) and run.standoff_m > 0.0:  # not before the first run
-        error_m = min(abs(run.mean_m - run.standoff_m), MAX_USUAL_ERROR * run.standoff_m)
+        # another controller may have led the tool far away
+        error_m = min(abs(run.mean_m - run.standoff_m), 0.03 * run.standoff_m)
         run.error_m += SLOW_RATE * (error_m - run.error_m)
     run.samples += 1
     rate = min(1.0, adaptive.hold.interval_s / (ANSWER_TAUS * adaptive.plant.tau_s))
@@ -95,7 +91,7 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
 @jit
 def is_quiet(run):
     """Whether the ranges have far less than their usual noise, which is not below what the bank assumes."""
-    return run.usual_m > MIN_NOISE_M and run.spread_m < QUIET_SHARE * run.usual_m
+    return run.usual_m > MIN_NOISE_M and run.spread_m < 0.5 * run.usual_m
 
 
 @jit
@@ -136,18 +132,18 @@ def sign_of_fault(adaptive, motion_m, sunk_m):
         SIGN_FOR_HOLD: one for which the tool is held.
     """
     run, lag_s, band_m = adaptive.run, adaptive.plant.tau_s, mean_range.range_band_m(adaptive)
-    number = mean_range.mean_samples(adaptive)
+    number = mean_range.samples_in_mean(adaptive)
     if is_slow(adaptive):  # over falling ground the tool is late by part of the interval
         lag_s += LEVEL_SHARE / mean_range.LAG_TAUS * adaptive.hold.interval_s
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M
     error_m = abs(run.range_m - run.standoff_m) if below else 0.0
-    unusual = error_m > USUAL_ERRORS * run.error_m
+    unusual = error_m > 3.0 * run.error_m  # over ground that accelerates it is less
     suspicious = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
     grave = (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == layout.ROTATION_FAILED
     hidden_m = MOTION_BANDS * band_m  # in the noise
     # over ground that falls ever faster a good tool is late; an axis quicker than its model runs away
-    excess_mps = -adaptive.kinematics.climb_mps - SPEEDING * run.rate_mps
+    excess_mps = -adaptive.kinematics.climb_mps - 1.5 * run.rate_mps
     runs_away = excess_mps * adaptive.plant.tau_s > band_m and motion_m > SHIFT_DESCENT * run.standoff_m
     if (grave or runs_away) and motion_m > hidden_m:
         return layout.SIGN_FOR_HOLD
@@ -160,7 +156,8 @@ def sign_of_fault(adaptive, motion_m, sunk_m):
     # with fewer samples in τ the ground changes while an answer is awaited
     few = number < mean_range.MAX_READINGS
     lags = few or error_m <= mean_range.LAG_TAUS * lag_s * run.rate_mps
-    slight = lags or error_m * motion_m <= SHIFT_ERROR_MOTION * band_m * run.standoff_m
+    # a shift needs a sixth of the error and motion for which the tool is held
+    slight = lags or error_m * motion_m <= mean_range.ERROR_MOTION / 6.0 * band_m * run.standoff_m
     if not below:  # the ground under the tool is not seen: it may rise as when the run began
         run_s = run.samples * adaptive.hold.interval_s
         motion_m += max(run.slope, 0.0) * path_speed(adaptive.kinematics) * run_s

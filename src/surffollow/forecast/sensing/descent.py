@@ -43,7 +43,7 @@ def _update_mean(adaptive, range_m, error_samples):
     range_m : float64        range [m]
     error_samples : float64  number of samples in the mean deviation
     """
-    descent, number = adaptive.descent, mean_range.mean_samples(adaptive)
+    descent, number = adaptive.descent, mean_range.samples_in_mean(adaptive)
     most_m = mean_range.BAND_SIGMAS * max(descent.scatter_m, range_noise_m(adaptive.noise))
     deviation_m = min(max(range_m - descent.range_m, -most_m), most_m)
     descent.scatter_m += (abs(deviation_m) - descent.scatter_m) / error_samples
@@ -81,7 +81,7 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     float64  half the spread ±B of the ranges, if the descent is to be tested [m]; 0: it is not
     """
     descent, before_ns, band = adaptive.descent, adaptive.response.t_ns, mean_range.range_band_m(adaptive)
-    error_samples = 8.0 * mean_range.mean_samples(adaptive)  # with more a slow sensor is named later
+    error_samples = 8.0 * mean_range.samples_in_mean(adaptive)  # with more a slow sensor is named later
     share_m = 0.1 * params.offset_m  # below the lowest ground until then a descent is tested
     if before_ns == 0 or not 0 < t_ns - before_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
@@ -129,7 +129,7 @@ def _is_unexplained(params, adaptive, tool_z_m, spread_m):
     fall_m = descent.top_z_m - tool_z_m
     # a smaller share of the stand-off takes a descent of fifty errors or more to the ground
     least_m = max(mean_range.range_band_m(adaptive), 0.02 * params.offset_m)
-    known = descent.samples > 2.0 * mean_range.mean_samples(adaptive)
+    known = descent.samples > 2.0 * mean_range.samples_in_mean(adaptive)
     long = known and error_m > least_m and fall_m > 3.0 * error_m  # over ground that stays it is two at most
     great = error_m * fall_m > mean_range.ERROR_MOTION * spread_m * params.offset_m
     steep = fall_m > max(PLAUSIBLE_SLOPE * descent.travel_m, descent.reach_m)
@@ -150,7 +150,7 @@ def _is_testable(params, adaptive, t_ns, tool_z_m, spread_m):
     """
     descent, response, estimate = adaptive.descent, adaptive.response, adaptive.estimate
     known = estimate.samples * adaptive.hold.interval_s > SPREAD_TAUS * adaptive.plant.tau_s
-    quick = mean_range.mean_samples(adaptive) >= mean_range.MAX_READINGS
+    quick = mean_range.samples_in_mean(adaptive) >= mean_range.MAX_READINGS
     narrow = spread_m < 0.1 * params.offset_m  # so that an answer can exceed it
     lasts_s = 2.0 * answer_s(adaptive, MIN_MEANS) + adaptive.plant.tau_s  # a hold and a lift
     falls_m = abs(adaptive.kinematics.climb_mps) * lasts_s

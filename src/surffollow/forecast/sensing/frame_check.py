@@ -20,7 +20,7 @@ from surffollow.forecast.quantities import APART_M
 from surffollow.forecast.sensing.constant_ranges import MIN_MEANS
 from surffollow.forecast.sensing.kinematics import is_at_rest
 from surffollow.forecast.sensing.response import answer_s
-from surffollow.forecast.sensing.sample_hold import count_m
+from surffollow.forecast.sensing.sample_hold import resolution_m
 from surffollow.shm import layout_adaptive_sensing as layout
 from surffollow.shm.jit import jit, jit_inlined
 
@@ -47,7 +47,7 @@ def _decide(params, adaptive, t_ns, range_m, tool_z_m):
     frame = adaptive.frame
     motion_m = frame.most_m[0] - frame.least_m[0]
     difference_m, sum_m = frame.most_m[1] - frame.least_m[1], frame.most_m[2] - frame.least_m[2]
-    noise_m = max(MOTION_SIGMAS * range_noise_m(adaptive.noise), MOTION_COUNTS * count_m(adaptive.hold))
+    noise_m = max(MOTION_SIGMAS * range_noise_m(adaptive.noise), MOTION_COUNTS * resolution_m(adaptive.hold))
     least_m = max(noise_m, MOTION_SHARE * params.offset_m)
     moved, lift_m = motion_m > least_m, 2.0 * least_m
     answers = (t_ns - frame.begun_ns) * 1e-9 / answer_s(adaptive, MIN_MEANS)  # times of an answer

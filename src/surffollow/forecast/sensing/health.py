@@ -1,4 +1,6 @@
-"""Health of the ranging: drop-outs, health states with hysteresis, latched faults."""
+"""Health of the ranging: drop-outs, unseen ground, health states with hysteresis, latched faults."""
+
+import math
 
 from surffollow.forecast import quantities
 from surffollow.forecast.plant.axis_model import PERIOD_S
@@ -8,10 +10,10 @@ from surffollow.forecast.sensing.frame_check import is_reversed, moves_to_check
 from surffollow.forecast.sensing.kinematics import has_jumped, path_speed
 from surffollow.forecast.sensing.latency_identification import is_late
 from surffollow.forecast.sensing.response import is_unresponsive
-from surffollow.forecast.sensing.unseen_ground import uncertain_clearance
+from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.shm import layout_adaptive as layout
 from surffollow.shm.jit import jit, jit_inlined
-from surffollow.shm.layout_adaptive_sensing import ROTATION_FAILED
+from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN, ROTATION_FAILED
 from surffollow.shm.layout_follow import NO_SENSOR, SENSOR_LOST
 
 
@@ -35,9 +37,45 @@ def repeats_itself(adaptive):
 
 
 @jit
-def is_stuck(adaptive):
-    """Whether the range did not respond to a test, or repeats itself."""
-    return repeats_itself(adaptive) or is_unresponsive(adaptive.response)
+def rise_rate(adaptive):
+    """Rate at which ground that is not seen may rise [m/s].
+
+    As steeply as that of the last metre, as at present, or as when the run of ranges began that is tested.
+    """
+    estimate, response = adaptive.estimate, adaptive.response
+    slope = max(math.sqrt(estimate.slope_power), estimate.slope)
+    if response.phase != RESPONSE_RUN:
+        slope = max(slope, adaptive.run.slope)
+    return slope * path_speed(adaptive.kinematics)
+
+
+@jit
+def uncertain_clearance(adaptive, silent, repeats):
+    """Clearance that may be lost unseen [m].
+
+    In a test of the response it is that since the run of ranges began which the test is about: all ranges
+    since then are uncertain, and the tool has moved. A test of a slow sensor may fail by chance, since the
+    ground changes while an answer is awaited: it counts when the sensor falls silent in it. In silence
+    without a test it is that since the newest sample, and under a range that repeats itself that since the
+    newest sample that entered the estimate.
+
+    Parameters
+    ----------
+    adaptive : record of `AdaptiveState`
+    silent : bool   samples are missing
+    repeats : bool  the range repeats itself
+    """
+    response, run, setpoint = adaptive.response, adaptive.run, adaptive.setpoint
+    tested = moves_tool(response) and (silent or not is_slow(adaptive))
+    if not tested and not silent and not repeats:
+        return 0.0
+    seen_ns = adaptive.estimate.accepted_ns if repeats and not tested else adaptive.hold.t_ns
+    begin_m, unseen_s = adaptive.blend.tracked_m, (adaptive.clock.now_ns - seen_ns) * 1e-9
+    if tested:
+        unseen_s += run.samples * adaptive.hold.interval_s
+        begin_m = run.low_z_m if response.rises != 0 else run.top_z_m
+    descent_m = begin_m - setpoint.position_m if setpoint.t_ns != 0 else 0.0
+    return descent_m + rise_rate(adaptive) * unseen_s
 
 
 @jit
@@ -137,7 +175,7 @@ def present_health(params, adaptive, stuck, lost, silent, left_out, old):
     Parameters
     ----------
     params, adaptive : records of `Params`, `AdaptiveState`
-    stuck, lost : bool           as `is_stuck` and `is_lost` say
+    stuck, lost : bool           the range does not respond or repeats itself; as `is_lost` says
     silent, left_out, old : int  bit per channel without readings, per beam not used, and per one too old
 
     Returns
@@ -192,7 +230,7 @@ def update_health(params, adaptive, sense, close):
     bool, bool  the range does not respond or repeats itself; there is no demand without other samples
     """
     health, now_ns = adaptive.health, adaptive.clock.now_ns
-    stuck = is_stuck(adaptive)
+    stuck = repeats_itself(adaptive) or is_unresponsive(adaptive.response)
     update_unseen(params, adaptive, stuck)
     lost = is_lost(params, adaptive)
     count_outside(health, sense)
@@ -233,7 +271,7 @@ def note_beam(health, upward):
 
 
 @jit
-def forget(health, fault):
+def restart(health, fault):
     """Ask for a start without knowledge behind this cycle, for a fault; status bits of the cycle."""
     health.forget = fault
     return NO_SENSOR | SENSOR_LOST

@@ -82,7 +82,7 @@ def note_jump(params, kinematics, sense, last):
 
 
 @jit
-def see_jump(kinematics, t_ns):
+def note_accepted(kinematics, t_ns):
     """Note an accepted sample: one from behind the newest jump is in the frame of the poses."""
     if t_ns >= kinematics.jump_ns:
         kinematics.jump = JUMP_SEEN

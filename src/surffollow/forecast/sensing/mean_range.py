@@ -3,7 +3,7 @@
 import math
 
 from surffollow.forecast.estimation.noise import range_noise_m
-from surffollow.forecast.sensing.sample_hold import count_m
+from surffollow.forecast.sensing.sample_hold import resolution_m
 from surffollow.shm.jit import jit
 
 RUN_SAMPLES = 64  # in the mean of a run of constant ranges, and runs in the usual length of repeated ranges
@@ -15,7 +15,7 @@ TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during 
 
 
 @jit
-def mean_samples(adaptive):
+def samples_in_mean(adaptive):
     """Samples in a mean range: those of a time constant, within limits."""
     interval_s = max(adaptive.hold.interval_s, 1e-6)
     return min(max(adaptive.plant.tau_s / interval_s, MIN_READINGS), MAX_READINGS)
@@ -30,13 +30,13 @@ def mean_band_m(sigma_m, number):
 @jit
 def range_sigma_m(adaptive):
     """Standard deviation of a range of channel 0, that of the quantisation at least [m]."""
-    return max(range_noise_m(adaptive.noise), count_m(adaptive.hold) / math.sqrt(12.0))
+    return max(range_noise_m(adaptive.noise), resolution_m(adaptive.hold) / math.sqrt(12.0))
 
 
 @jit
 def range_band_m(adaptive):
     """Change of the mean range of channel 0 that noise explains [m]."""
-    return mean_band_m(range_sigma_m(adaptive), mean_samples(adaptive))
+    return mean_band_m(range_sigma_m(adaptive), samples_in_mean(adaptive))
 
 
 @jit

@@ -106,7 +106,7 @@ def enter_sample(params, adaptive, sense, fold, inputs, output, pose, channel, r
     if not entered:
         return
     adaptive.sample.entered = 1
-    kinematics.see_jump(adaptive.kinematics, t)
+    kinematics.note_accepted(adaptive.kinematics, t)
     terrain_buffer.store_ground_under(adaptive, adaptive.estimate.arc_length_m, h)
     preview.observe_ground(params, adaptive, h)
     if not orients(params):

@@ -5,12 +5,10 @@ import math
 from surffollow.forecast.estimation.noise import MIN_NOISE_M, estimated_range_noise_m
 from surffollow.forecast.quantities import REPEAT_BAND
 from surffollow.forecast.sensing.mean_range import MAX_READINGS, RUN_SAMPLES, range_band_m, range_sigma_m
-from surffollow.forecast.sensing.sample_hold import count_m
+from surffollow.forecast.sensing.sample_hold import resolution_m
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive_sensing import RESPONSE_RUN
 
-# of so many equal ranges in a row: at 250 Hz once in 400 s, and the tool must be about to move just then
-LEAST_CHANCE = 1e-5
 REPEAT_RATIO = 2.0  # in usual runs of repeated ranges: a longer one, of a mean at least, is a sign of a fault
 
 
@@ -35,7 +33,7 @@ def count_repeats(adaptive, range_m, tool_z_m):
     range_m : float64   range [m]
     tool_z_m : float64  height of the tool at its time [m]
     """
-    repeats, sigma_m, resolution_m = adaptive.repeats, range_sigma_m(adaptive), count_m(adaptive.hold)
+    repeats, sigma_m, step_m = adaptive.repeats, range_sigma_m(adaptive), resolution_m(adaptive.hold)
     setpoint_m, change_m = adaptive.setpoint.position_m, abs(range_m - repeats.range_m)
     if repeats.count == 0 or change_m > REPEAT_BAND * estimated_range_noise_m(adaptive.noise):
         if adaptive.response.phase == RESPONSE_RUN and repeats.count > 0:  # not of a run that a reset ended
@@ -48,14 +46,15 @@ def count_repeats(adaptive, range_m, tool_z_m):
     repeats.count += 1
     if change_m == 0.0:
         repeats.equal += 1
-        repeats.chance *= min(0.5 / math.sqrt(math.pi) * resolution_m / sigma_m, 1.0)
+        repeats.chance *= min(0.5 / math.sqrt(math.pi) * step_m / sigma_m, 1.0)
     # before the noise is known ranges may stay for long
     known = adaptive.weights.scored > 100 and estimated_range_noise_m(adaptive.noise) > MIN_NOISE_M
     moved_m, led_m = abs(tool_z_m - repeats.tool_z_m), abs(setpoint_m - repeats.setpoint_m)
     # chance makes four of a row near each other now and then; counts of a coarse sensor are all that near
     often = repeats.count >= max(REPEAT_RATIO * repeats.usual, 5.0)
-    near = often and moved_m > range_band_m(adaptive) and resolution_m < REPEAT_BAND * sigma_m
-    held = repeats.equal >= REPEAT_RATIO * repeats.usual_equal and repeats.chance < LEAST_CHANCE
+    near = often and moved_m > range_band_m(adaptive) and step_m < REPEAT_BAND * sigma_m
+    # such a chance comes once in 400 s at 250 Hz, and the tool must be about to move just then
+    held = repeats.equal >= REPEAT_RATIO * repeats.usual_equal and repeats.chance < 1e-5
     if known and (near or (held and max(moved_m, led_m) > range_band_m(adaptive))):
         repeats.unused = 1
 

@@ -20,12 +20,8 @@ from surffollow.shm import layout_adaptive_sensing as layout
 from surffollow.shm.jit import jit, jit_inlined
 
 STEEP = 0.5  # of the stand-off: a descent that goes farther in the time of an answer is steep
-ASCENT_SHARE = 0.25  # of an ascent counts
 # times the half spread of the ranges before the test of a descent: the answer to a lift, and the lift
 SWINGS = (3.0, 4.5)
-STOP_TAUS = 2.0  # until the tool has stopped, or follows a shift, behind the delay of the samples
-# of the lift in an ascent: who misses less has obeyed. The setpoint of another tool stays ahead by all of it
-OBEYED = 0.65
 
 
 @jit
@@ -72,7 +68,7 @@ def _begin_lift(params, adaptive, phase, tool_z_m, lift_m):
     `phase`: RESPONSE_LIFT, or RESPONSE_RUN for a shift.
     """
     response = adaptive.response
-    response.lead_m = _excess_lead_m(adaptive, tool_z_m) - response.lift_m
+    response.excess_m = _excess_m(adaptive, tool_z_m) - response.lift_m
     _begin_phase(response, phase, tool_z_m)
     response.lift_m = response.missing_m = lift_m
     response.ceiling_z_m = _ceiling_m(params, adaptive, tool_z_m, lift_m)
@@ -80,9 +76,12 @@ def _begin_lift(params, adaptive, phase, tool_z_m, lift_m):
 
 @jit
 def answer_s(adaptive, means):
-    """Time from a hold or a shift until so many mean ranges are of a tool that has obeyed [s]."""
-    obeyed_s = adaptive.latency.delay_s + STOP_TAUS * adaptive.plant.tau_s
-    return obeyed_s + means * mean_range.mean_samples(adaptive) * adaptive.hold.interval_s
+    """Time from a hold or a shift until so many mean ranges are of a tool that has obeyed [s].
+
+    It has stopped, or follows a shift, after 2 τ.
+    """
+    obeyed_s = adaptive.latency.delay_s + 2.0 * adaptive.plant.tau_s
+    return obeyed_s + means * mean_range.samples_in_mean(adaptive) * adaptive.hold.interval_s
 
 
 @jit
@@ -99,9 +98,9 @@ def _update_run(params, adaptive, tool_z_m):
     tool_z_m : float64  height of the tool at the newest sample [m]
     """
     response, run, tau_s = adaptive.response, adaptive.run, adaptive.plant.tau_s
-    number, band_m = mean_range.mean_samples(adaptive), mean_range.range_band_m(adaptive)
+    number, band_m = mean_range.samples_in_mean(adaptive), mean_range.range_band_m(adaptive)
     descent, ascent = constant_ranges.observe_motion(run, tool_z_m, adaptive.kinematics.climb_mps)
-    sunk_m, ascent = descent - ascent, ASCENT_SHARE * ascent
+    sunk_m, ascent = descent - ascent, 0.25 * ascent
     rises = ascent > descent and descent < band_m  # it has not turned down since
     sparse = is_slow(adaptive)  # the ground changes while an answer is awaited
     repeated = is_repeated(adaptive.repeats)
@@ -155,8 +154,8 @@ def _test_descent(params, adaptive, tool_z_m, spread_m):
 
 
 @jit
-def _excess_lead_m(adaptive, tool_z_m):
-    """Distance by which the setpoint is ahead of the tool beyond what its climb explains [m]."""
+def _excess_m(adaptive, tool_z_m):
+    """Distance by which the setpoint is above the tool beyond what its climb explains [m]."""
     climb_m = adaptive.kinematics.climb_mps * (adaptive.plant.tau_s + adaptive.latency.delay_s)
     return adaptive.setpoint.position_m - tool_z_m - climb_m
 
@@ -177,18 +176,19 @@ def _update_test(params, adaptive, tool_z_m):
     tool_z_m : float64  height of the tool at the newest sample [m]
     """
     response, rises = adaptive.response, adaptive.response.rises != 0
-    lead_m = _excess_lead_m(adaptive, tool_z_m)
+    excess_m = _excess_m(adaptive, tool_z_m)
     # behind a descent: it is there, and follows the setpoint
-    missing_m = (
-        lead_m - response.lead_m if rises else max(response.test_z_m + response.lift_m - tool_z_m, lead_m)
-    )
+    missing_m = max(response.test_z_m + response.lift_m - tool_z_m, excess_m)
+    if rises:
+        missing_m = excess_m - response.excess_m
     # as late as the mean range; under a constant one the setpoint oscillates in an ascent: twice as long
-    number = (2.0 if rises else 1.0) * MIN_MEANS * mean_range.mean_samples(adaptive)
+    number = (2.0 if rises else 1.0) * MIN_MEANS * mean_range.samples_in_mean(adaptive)
     response.missing_m += (missing_m - response.missing_m) / number
     longest_s = ANSWER_TAUS * adaptive.plant.tau_s
     late_s = (response.t_ns - response.test_ns) * 1e-9 - answer_s(adaptive, MIN_MEANS)
-    # by what is left a good sensor would have answered
-    allowed_m = OBEYED * response.lift_m if rises else response.lift_m - _answer_m(adaptive)
+    # by what is left a good sensor would have answered; in an ascent the setpoint of a tool that does not
+    # obey stays ahead by all of the lift
+    allowed_m = 0.65 * response.lift_m if rises else response.lift_m - _answer_m(adaptive)
     below_m, rate_mps = response.ceiling_z_m - tool_z_m, adaptive.run.rate_mps
     # one that another controller leads climbs farther
     stands = rises and abs(below_m) < allowed_m and abs(adaptive.kinematics.climb_mps) < 0.5 * rate_mps
@@ -232,7 +232,7 @@ def _note_answer(adaptive, deviation_m):
     A jump from the mean range by more than noise and the way of the tool in its time is no proof, nor is a
     shorter range: where the ground falls, a test makes it longer.
     """
-    response, mean_s = adaptive.response, mean_range.mean_samples(adaptive) * adaptive.hold.interval_s
+    response, mean_s = adaptive.response, mean_range.samples_in_mean(adaptive) * adaptive.hold.interval_s
     if response.phase == layout.RESPONSE_RUN and response.lift_m == 0.0:
         return
     response.settled_ns = response.t_ns + int(1e9 * answer_s(adaptive, 1.0))
@@ -267,7 +267,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
     in_run, most_m = response.phase == layout.RESPONSE_RUN, noise_m
     if constant_ranges.moves_tool(response):  # in a test two samples answer, one does not
         band_m = max(adaptive.run.band_m, mean_range.range_band_m(adaptive))
-        most_m = mean_range.mean_samples(adaptive) * band_m
+        most_m = mean_range.samples_in_mean(adaptive) * band_m
     constant_ranges.update_mean(adaptive, range_m, sigma_m, max(most_m, SWINGS[0] * response.swing_m))
     mean_m = adaptive.run.mean_m
     begins = begins or (response.swing_m > 0.0 and adaptive.run.standoff_m != params.offset_m)

@@ -17,7 +17,7 @@ def new_sample(params, adaptive, sense, inputs, channel):
     """Whether a channel has a new sample, its range and timestamp.
 
     Conversions of a held value are one sample with the timestamp of the first of them. An unchanged value is
-    a new sample once `hold_ns` have passed.
+    a new sample once `hold_ns` have passed, in conversions 1.5 times as long.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def record_sample(hold, t_ns, range_m):
 
 
 @jit
-def count_m(hold):
+def resolution_m(hold):
     """Count of the sensor, as far as known [m]: far below the noise unless the sensor is coarse."""
     return hold.least_m if hold.changes >= 8 else 0.0
 

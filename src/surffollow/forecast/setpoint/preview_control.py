@@ -148,8 +148,8 @@ def least_speed(params, adaptive, known_periods, z_m, standoff_m, held_periods):
 
 
 @jit
-def lead_back(plan, ground_m, known_periods, z_m, speed_mps, standoff_m):
-    """Let the setpoint lead back a tool that has left the known ground on one side, and does not return.
+def return_to_ground(plan, ground_m, known_periods, z_m, speed_mps, standoff_m):
+    """Limit the setpoint of a tool that has left the known ground on one side, and does not return.
 
     The plan changes the velocity of the tool by what its axis can do in a period. Where wind moves it faster,
     the velocity that is asked for would follow that of the wind.
@@ -191,4 +191,4 @@ def plan_setpoint(params, adaptive, known_periods, z_m, v_mps, standoff_m):
     held_s, ahead_s = held_periods * PERIOD_S, (held_periods + 1.0) * PERIOD_S
     desired_m = z_m + max(desired_m, ahead_s * least_mps) - ahead_s * disturbance_mps
     plan.setpoint_m = invert_axis(params, adaptive.plant.tau_s, z_m, v_mps, desired_m, held_s)
-    lead_back(plan, adaptive.preview.ground_m, known_periods, z_m, v_mps + disturbance_mps, standoff_m)
+    return_to_ground(plan, adaptive.preview.ground_m, known_periods, z_m, v_mps + disturbance_mps, standoff_m)

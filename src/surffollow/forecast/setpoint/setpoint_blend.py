@@ -6,8 +6,8 @@ from surffollow.forecast import elementary, quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
 from surffollow.forecast.estimation.pending_samples import nearer_wait
 from surffollow.forecast.plant import axis_model, controller_clock, shadow_axes
-from surffollow.forecast.sensing import measurement, unseen_ground
-from surffollow.forecast.sensing.health import missing_s
+from surffollow.forecast.sensing import measurement
+from surffollow.forecast.sensing.health import missing_s, rise_rate
 from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest, path_speed, spans_jump
 from surffollow.forecast.sensing.sample_hold import is_slow
 from surffollow.forecast.setpoint.tested_setpoint import setpoint_range
@@ -24,24 +24,24 @@ def slope_limit(power):
 
 
 @jit
-def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
+def compute_setpoints(adaptive, ahead_m, lead_length_m, max_slope, standoff_m):
     """Setpoints of all models `ahead_m` beyond the newest footprint; their blend and its slope.
 
-    A model adds its slope times `lead_m`, less the part that it leaves out. The change of height is clamped
-    to `max_slope` of the distance, plus 1 mm. Ground that is not seen may rise again where it fell: over the
-    trail of a sensor, and over a share of the travel since the newest sample of a slow one, slopes and curves
-    that fall count as level. Waves rise by themselves, but one that is steeper than the ground fits a long
-    fall by chance. The ground's slope is that of one model, independent of its weight: waves that count as
-    level get none. This is not known of a slow sensor.
+    A model adds its slope times `lead_length_m`, less the part that it leaves out. The change of height is
+    clamped to `max_slope` of the distance, plus 1 mm. Ground that is not seen may rise again where it fell:
+    over the trail of a sensor, and over a share of the travel since the newest sample of a slow one, slopes
+    and curves that fall count as level. Waves rise by themselves, but one that is steeper than the ground
+    fits a long fall by chance. The ground's slope is that of one model, independent of its weight: waves that
+    count as level get none. This is not known of a slow sensor.
 
     Parameters
     ----------
     adaptive : record of `AdaptiveState` (`bank`, `blend` updated)
-    ahead_m : float64     distance beyond the newest footprint [m], negative behind it
-    lead_m : float64      distance travelled in the axis' time constant, less in a drop-out [m]; negative:
-                          the tool goes back
-    max_slope : float64   limit of the mean slope
-    standoff_m : float64  desired height of the tool above the ground [m]
+    ahead_m : float64        distance beyond the newest footprint [m], negative behind it
+    lead_length_m : float64  v τ: distance travelled in the axis' time constant, less in a drop-out [m];
+                             negative: the tool goes back
+    max_slope : float64      limit of the mean slope
+    standoff_m : float64     desired height of the tool above the ground [m]
 
     Returns
     -------
@@ -49,7 +49,7 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
     """
     bank, blend, sign = adaptive.bank, adaptive.blend, math.copysign(1.0, ahead_m)
     model_bank.extrapolate_bank(bank, ahead_m)
-    margin = 1e-3 + max_slope * (abs(ahead_m) + abs(lead_m))
+    margin = 1e-3 + max_slope * (abs(ahead_m) + abs(lead_length_m))
     unseen_m = min(max(-adaptive.sample.lead_m, 0.0), ahead_m)
     steepest = slope_limit(adaptive.estimate.quick_slope_power)
     if is_slow(adaptive):
@@ -57,12 +57,12 @@ def compute_setpoints(adaptive, ahead_m, lead_m, max_slope, standoff_m):
         # winch's error is 15 % greater (bench_scales.py)
         unseen_m, steepest = max(unseen_m, quantities.LEVEL_SHARE * ahead_m), math.inf
     # a tool that goes back comes to ground that was seen
-    level_share = unseen_m / (ahead_m + lead_m) if ahead_m > 0.0 and lead_m >= 0.0 else 0.0
+    level_share = unseen_m / (ahead_m + lead_length_m) if ahead_m > 0.0 and lead_length_m >= 0.0 else 0.0
     slope, curvature, omega = bank.slope, bank.curvature, bank.wave_number
     for i in range(N_MODELS):
         rise, left_out = bank.rise_m[i], adaptive.lead.left_out[i]
-        change = rise + lead_m * bank.slope_ahead[i]
-        growth = bank.slope_ahead[i] + (1.0 - left_out) * lead_m * bank.bend_ahead[i]
+        change = rise + lead_length_m * bank.slope_ahead[i]
+        growth = bank.slope_ahead[i] + (1.0 - left_out) * lead_length_m * bank.bend_ahead[i]
         growth = sign * math.copysign(max_slope, change) if abs(change) > margin else growth
         change, rise = min(max(change, -margin), margin), min(max(rise, -margin), margin)
         # the greatest slope of a wave is √(θ² + κ²/ω²)
@@ -229,7 +229,7 @@ def permitted_setpoint(params, adaptive, target_m, tool_z_m, standoff_m, age_s, 
     wait_s = controller_clock.mean_wait_s(params, adaptive.controller)
     lowest, highest = setpoint_range(adaptive, wait_s)
     if stuck:  # ground that is not seen may rise as steeply as it did before
-        rise_m = unseen_ground.rise_rate(adaptive) * (adaptive.plant.tau_s + age_s)
+        rise_m = rise_rate(adaptive) * (adaptive.plant.tau_s + age_s)
         target_m = max(target_m, tool_z_m + rise_m)
     if adaptive.preview.share == 0.0 or adaptive.setpoint.approaching != 0:  # a plan brakes by itself
         target_m = braking_setpoint(params, adaptive, target_m, tool_z_m, age_s)

@@ -159,7 +159,8 @@ def limit_setpoint(params, adaptive, now_ns, target_m, tool_z_m):
     ----------
     params, adaptive : records of `Params`, `AdaptiveState` (updated)
     now_ns : int64
-    target_m, tool_z_m : float64
+    target_m : float64  target of the setpoint [m]
+    tool_z_m : float64  height of the tool in the newest pose reported [m]
     """
     setpoint = adaptive.setpoint
     setpoint.in_dryrun = 1 if params.run == RUN_DRYRUN else 0

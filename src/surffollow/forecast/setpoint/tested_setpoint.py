@@ -37,7 +37,7 @@ def setpoint_range(adaptive, wait_s):
         return adaptive.frame.setpoint_m, adaptive.frame.setpoint_m
     lowest_m, highest_m, response = -math.inf, math.inf, adaptive.response
     descends = response.phase == RESPONSE_RUN and response.lift_m > 0.0 and response.rises == 0
-    if descends and -response.lead_m > max(response.lift_m, adaptive.run.rate_mps * adaptive.plant.tau_s):
+    if descends and -response.excess_m > max(response.lift_m, adaptive.run.rate_mps * adaptive.plant.tau_s):
         since_s = (adaptive.clock.now_ns - response.test_ns) * 1e-9 + wait_s + adaptive.plant.tau_s
         lowest_m = response.test_z_m - adaptive.run.rate_mps * since_s + response.lift_m
     if response.phase in (RESPONSE_HOLD, RESPONSE_LIFT):

@@ -20,7 +20,7 @@ MAX_UNCONFIRMED_DESCENT_M = 2.0 * DISAGREEMENT_M  # of a plan below the setpoint
 @jit
 def known_source(adaptive):
     """Source of known ground: 0 a sensor that leads, 1 the map or the terrain memory. Each has its bias."""
-    return 0 if adaptive.lookahead.lead_m > 0.0 or sensor_leads(adaptive) else 1
+    return 0 if adaptive.lookahead.ahead_m > 0.0 or sensor_leads(adaptive) else 1
 
 
 @jit
@@ -115,7 +115,7 @@ def compare_known_ground(adaptive, inputs, ahead_m, h_m):
     if known.contradictions < 2:
         return False
     known.descent_m = 0.0
-    known.trusted_from_m = s + max(adaptive.lookahead.lead_m, drop_length_m)
+    known.trusted_from_m = s + max(adaptive.lookahead.ahead_m, drop_length_m)
     return True
 
 

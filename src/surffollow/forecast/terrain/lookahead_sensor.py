@@ -29,7 +29,7 @@ def observe_lookahead(params, adaptive, sense, pose):
     # no channel leads at rest, nor do several that give a plane, or one that was silent for long
     none = orients(params) or is_at_rest(kinematics)
     if none or clock.now_ns - lookahead.seen_ns > LONG_GAP_NS:
-        lookahead.lead_m = 0.0
+        lookahead.ahead_m = 0.0
     if none or estimate.samples == 0 or sensor_leads(adaptive):
         return
     for c in range(1, params.n_channels):
@@ -52,4 +52,4 @@ def observe_lookahead(params, adaptive, sense, pose):
         leads = APART_M < along < (BUFFER_CELLS - 1) * CELL_M and abs(across) < APART_M
         if agrees and leads:
             store_ground(adaptive, estimate.arc_length_m + along, z)
-            lookahead.lead_m, lookahead.seen_ns = along, clock.now_ns
+            lookahead.ahead_m, lookahead.seen_ns = along, clock.now_ns

@@ -90,7 +90,7 @@ def store_ground_under(adaptive, s_m, h_m):
 
     Heights that channel 0 is compared with are then of that channel alone, or of before the rest.
     """
-    leads, behind_another = sensor_leads(adaptive), adaptive.lookahead.lead_m > 0.0
+    leads, behind_another = sensor_leads(adaptive), adaptive.lookahead.ahead_m > 0.0
     if not (is_at_rest(adaptive.kinematics) if leads else behind_another):
         store_ground(adaptive, s_m, h_m)
 
