@@ -88,7 +88,7 @@ def test_the_ceiling_does_not_fall_behind_missing_readings():
     a["hold"]["interval_s"], a["plant"]["tau_s"], a["noise"]["range_sigma_m"] = 4e-3, 0.04, 2e-4
     a["response"]["t_ns"], a["response"]["test_ns"] = 10**9, 8 * 10**8
     a["response"]["phase"], a["kinematics"]["speed_mps"] = RESPONSE_FAILED, 0.1
-    a["run"]["mean_m"] = a["run"]["range_m"] = a["run"]["standoff_m"] = 0.1
+    a["run"]["mean_m"] = a["run"]["range_m"] = a["run"]["offset_m"] = 0.1
     a["run"]["band_m"], a["run"]["lasting_slope"] = 0.01, 0.3
     a["clock"]["now_ns"] = 10**9
     before_m = setpoint_range(a, 0.0)[1]

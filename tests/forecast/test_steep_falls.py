@@ -114,6 +114,6 @@ def test_another_stand_off_ends_the_test_of_a_descent(standoff_m, phase):
     a["response"]["t_ns"] = a["response"]["test_ns"] = 10**9
     a["response"]["phase"], a["response"]["swing_m"] = RESPONSE_HOLD, 0.01
     a["run"]["mean_m"] = a["run"]["range_m"] = 0.105
-    a["run"]["standoff_m"] = 0.1
+    a["run"]["offset_m"] = 0.1
     observe_response(params, a, 10**9 + 4_000_000, 0.105, 0.0, 0.0)
     assert a["response"]["phase"] == phase

@@ -176,9 +176,10 @@ def compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
 
 @jit_inlined
 def publish_estimate(params, adaptive, output):
-    """Publish estimate, health and the adapted parameters that are in force.
+    """Publish estimate, health and the adapted parameters.
 
-    Interval_Size and Range_Size: a mean over n samples has the variance of a filter with gain 2 / (n + 1).
+    Nothing follows by Interval_Size and Range_Size: paper mode would be as smooth with them as the estimate
+    is. A mean over n samples has the variance of a filter with gain 2 / (n + 1).
     """
     motion, found, estimate = adaptive.kinematics, adaptive.health, adaptive.estimate
     noise_m, scale_m = adaptive.noise.sigma_m, adaptive.gate.scale_m

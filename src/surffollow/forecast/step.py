@@ -157,9 +157,9 @@ def adaptive_cycle(params, state, sense, fold, inputs, output, pose, ready):
     if ready:
         applies = params.run != layout.RUN_FREEZE and state[0].stop == 0
         status = adaptive_step.compute_demand(params, adaptive, sense, fold, inputs, output, pose, applies)
-    if adaptive.health.forget != 0:
+    if adaptive.health.restart != 0:
         output.fresh = 0  # of this cycle nothing is mapped
-        reset.reset_follower(state, adaptive.health.forget)
+        reset.reset_follower(state, adaptive.health.restart)
     adaptive_step.publish_estimate(params, adaptive, output)
     if not ready:
         output.health, output.reason = DROPOUT, REASON_POSE

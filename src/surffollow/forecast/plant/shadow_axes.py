@@ -26,15 +26,6 @@ def compared_lag_s(adaptive):
 
 
 @jit
-def uncompared_m(adaptive):
-    """Part of the distance by which the sensor trails that the tool does not travel in MAX_LAG_S [m].
-
-    No model is extrapolated over it, as no shadow axis shows how well that would do.
-    """
-    return max(-adaptive.sample.lead_m - adaptive.kinematics.speed_mps * MAX_LAG_S, 0.0)
-
-
-@jit
 def reset_shadows(shadow, t_ns, z_m):
     """Put every shadow axis to rest at a height, at a time."""
     shadow.t_ns = t_ns

@@ -30,7 +30,7 @@ def begin_run(params, adaptive, tool_z_m, range_m):
     run = adaptive.run
     run.slope, run.lasting_slope = adaptive.estimate.slope, run.mean_slope
     run.steady_slope, run.travel_m = run.path_slope, 0.0
-    run.standoff_m = params.offset_m
+    run.offset_m = params.offset_m
     run.range_m, run.mean_m, run.samples, run.rate_mps = range_m, range_m, 0, 0.0
     run.top_z_m = run.low_z_m = tool_z_m
     run.band_m = mean_range.range_band_m(adaptive)
@@ -72,9 +72,9 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
     run.spread_m += (noise_m - run.spread_m) / (2.0 * MIN_MEANS * number)
     if not is_quiet(run):  # noise far below the usual one is not learned
         run.usual_m += SLOW_RATE * (min(run.spread_m, sigma_m) - run.usual_m)
-    if not moves_tool(adaptive.response) and run.standoff_m > 0.0:  # not before the first run
+    if not moves_tool(adaptive.response) and run.offset_m > 0.0:  # not before the first run
         # another controller may have led the tool far away
-        error_m = min(abs(run.mean_m - run.standoff_m), 0.03 * run.standoff_m)
+        error_m = min(abs(run.mean_m - run.offset_m), 0.03 * run.offset_m)
         run.error_m += SLOW_RATE * (error_m - run.error_m)
     run.samples += 1
     rate = min(1.0, adaptive.hold.interval_s / (ANSWER_TAUS * adaptive.plant.tau_s))
@@ -109,10 +109,10 @@ def proven_descent_m(params, adaptive, rate_s, sparse):
     Where the range responded at r, the ground lay at r. The tool may descend by r − s₀ and another 0.25 s₀,
     less where the next answer takes long. Of a slow sensor chance may have made the answer: r does not count.
     """
-    standoff_m = params.offset_m
-    room_m = MAX_DESCENT * standoff_m - adaptive.run.rate_mps * rate_s
-    higher_m = 0.0 if sparse else adaptive.response.proven_m - standoff_m
-    return min(SHIFT_DESCENT * standoff_m, room_m) + higher_m
+    offset_m = params.offset_m
+    room_m = MAX_DESCENT * offset_m - adaptive.run.rate_mps * rate_s
+    higher_m = 0.0 if sparse else adaptive.response.proven_m - offset_m
+    return min(SHIFT_DESCENT * offset_m, room_m) + higher_m
 
 
 @jit
@@ -137,19 +137,19 @@ def sign_of_fault(adaptive, motion_m, sunk_m):
         lag_s += LEVEL_SHARE / mean_range.LAG_TAUS * adaptive.hold.interval_s
     repeats, quiet = is_repeated(adaptive.repeats), is_quiet(run)
     below = abs(adaptive.sample.lead_m) < APART_M
-    error_m = abs(run.range_m - run.standoff_m) if below else 0.0
+    error_m = abs(run.range_m - run.offset_m) if below else 0.0
     unusual = error_m > 3.0 * run.error_m  # over ground that accelerates it is less
-    suspicious = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.standoff_m)
+    suspicious = mean_range.is_suspicious(error_m, motion_m, run.rate_mps, band_m, lag_s, run.offset_m)
     grave = (unusual and suspicious) or repeats or quiet or adaptive.rotation.phase == layout.ROTATION_FAILED
     hidden_m = MOTION_BANDS * band_m  # in the noise
     # over ground that falls ever faster a good tool is late; an axis quicker than its model runs away
     excess_mps = -adaptive.kinematics.climb_mps - 1.5 * run.rate_mps
-    runs_away = excess_mps * adaptive.plant.tau_s > band_m and motion_m > SHIFT_DESCENT * run.standoff_m
+    runs_away = excess_mps * adaptive.plant.tau_s > band_m and motion_m > SHIFT_DESCENT * run.offset_m
     if (grave or runs_away) and motion_m > hidden_m:
         return layout.SIGN_FOR_HOLD
     # ground that rose steadily before the run may rise on
     rise_m = max(run.steady_slope, 0.0) * min(run.travel_m, STEADY_M)
-    if below and rise_m > hidden_m and sunk_m + rise_m > MAX_UNSEEN * run.standoff_m:
+    if below and rise_m > hidden_m and sunk_m + rise_m > MAX_UNSEEN * run.offset_m:
         return layout.SIGN_FOR_SHIFT
     if motion_m <= hidden_m:
         return layout.NO_SIGN
@@ -157,10 +157,10 @@ def sign_of_fault(adaptive, motion_m, sunk_m):
     few = number < mean_range.MAX_READINGS
     lags = few or error_m <= mean_range.LAG_TAUS * lag_s * run.rate_mps
     # a shift needs a sixth of the error and motion for which the tool is held
-    slight = lags or error_m * motion_m <= mean_range.ERROR_MOTION / 6.0 * band_m * run.standoff_m
+    slight = lags or error_m * motion_m <= mean_range.ERROR_MOTION / 6.0 * band_m * run.offset_m
     if not below:  # the ground under the tool is not seen: it may rise as when the run began
         run_s = run.samples * adaptive.hold.interval_s
         motion_m += max(run.slope, 0.0) * path_speed(adaptive.kinematics) * run_s
-    if slight and motion_m <= SHIFT_DESCENT * run.standoff_m:
+    if slight and motion_m <= SHIFT_DESCENT * run.offset_m:
         return layout.NO_SIGN
     return layout.SIGN_FOR_SHIFT

@@ -86,10 +86,10 @@ def observe_descent(params, adaptive, t_ns, range_m, tool_z_m):
     if before_ns == 0 or not 0 < t_ns - before_ns < LONG_GAP_NS:
         descent.range_m = descent.least_m = descent.most_m = range_m
         descent.floor_z_m = descent.low_z_m = tool_z_m
-        descent.standoff_m, descent.changed_ns = params.offset_m, t_ns - LONG_GAP_NS
+        descent.offset_m, descent.changed_ns = params.offset_m, t_ns - LONG_GAP_NS
         begin_descent(adaptive, tool_z_m, share_m)
-    if params.offset_m != descent.standoff_m:
-        descent.standoff_m, descent.changed_ns = params.offset_m, t_ns
+    if params.offset_m != descent.offset_m:
+        descent.offset_m, descent.changed_ns = params.offset_m, t_ns
     changing = t_ns - descent.changed_ns < 1e9 * answer_s(adaptive, MIN_MEANS)  # on its way to a stand-off
     if changing or adaptive.response.swing_m > 0.0:  # or in its test
         begin_descent(adaptive, tool_z_m, descent.reach_m)

@@ -273,5 +273,5 @@ def note_beam(health, upward):
 @jit
 def restart(health, fault):
     """Ask for a start without knowledge behind this cycle, for a fault; status bits of the cycle."""
-    health.forget = fault
+    health.restart = fault
     return NO_SENSOR | SENSOR_LOST

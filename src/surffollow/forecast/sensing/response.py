@@ -47,7 +47,7 @@ def _ceiling_m(params, adaptive, tool_z_m, lift_m):
     run began, or than that ground rises. A good sensor over rising ground answers when the tool stops there.
     A slow one answers late: it is stopped by its second shift only.
     """
-    run, standoff_m = adaptive.run, params.offset_m
+    run, offset_m = adaptive.run, params.offset_m
     lasts_s = answer_s(adaptive, MIN_MEANS) + adaptive.plant.tau_s  # the setpoint is ahead of the tool
     climbed_z_m = tool_z_m + 2.0 * lift_m + run.rate_mps * lasts_s
     if adaptive.response.phase == layout.RESPONSE_RUN and is_slow(adaptive):
@@ -57,7 +57,7 @@ def _ceiling_m(params, adaptive, tool_z_m, lift_m):
         begun_z_m = run.low_z_m
     rise_m = max(run.slope, 0.0) * path_speed(adaptive.kinematics) * lasts_s
     # a stand-off is kept to the end of the window for a lift and uneven ground
-    seen_z_m = begun_z_m + max(room_m - standoff_m, 0.5 * room_m)
+    seen_z_m = begun_z_m + max(room_m - offset_m, 0.5 * room_m)
     return min(climbed_z_m, max(seen_z_m, tool_z_m + lift_m + rise_m))
 
 
@@ -270,7 +270,7 @@ def observe_response(params, adaptive, t_ns, range_m, tool_z_m, spread_m):
         most_m = mean_range.samples_in_mean(adaptive) * band_m
     constant_ranges.update_mean(adaptive, range_m, sigma_m, max(most_m, SWINGS[0] * response.swing_m))
     mean_m = adaptive.run.mean_m
-    begins = begins or (response.swing_m > 0.0 and adaptive.run.standoff_m != params.offset_m)
+    begins = begins or (response.swing_m > 0.0 and adaptive.run.offset_m != params.offset_m)
     if begins or _responds(adaptive):
         if begins:
             response.settled_ns, response.proven_m = 0, 0.0

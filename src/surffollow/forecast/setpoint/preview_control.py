@@ -6,7 +6,7 @@ z is the axis, g the desired height, a the second difference of z; position and 
 given: before now lies the point z_1 - 2vT, so that v is the velocity now and not that of half a period ago.
 It is solved by the alternating direction method of multipliers (ADMM): one pentadiagonal factorisation and
 a clip, a fixed number of times, warm-started from the last period. Extrapolated ground beyond the known piece
-has half the weight, so that the axis does not arrive there too fast; ground farther on has none.
+has half the weight, so that the axis does not arrive there too fast; ground farther on has almost none.
 
 The axis must be able to stop above the lowest ground known until then: the plan of least squares alone would
 begin to descend long before an edge.

@@ -5,7 +5,8 @@ import math
 from surffollow.forecast import elementary, quantities
 from surffollow.forecast.estimation import innovation_gate, model_bank, model_weights
 from surffollow.forecast.estimation.pending_samples import nearer_wait
-from surffollow.forecast.plant import axis_model, controller_clock, shadow_axes
+from surffollow.forecast.plant import axis_model, controller_clock
+from surffollow.forecast.plant.shadow_axes import MAX_LAG_S
 from surffollow.forecast.sensing import measurement
 from surffollow.forecast.sensing.health import missing_s, rise_rate
 from surffollow.forecast.sensing.kinematics import GROUND_SPEED_MPS, is_at_rest, path_speed, spans_jump
@@ -88,7 +89,7 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m, renew):
     The axis lags by τ. Its setpoint is the height plus τ times the rate of the height. In a drop-out slopes
     fade over `dropout_travel_m`, a step away from the tool that was confirmed just before is taken back, and
     the setpoint descends no farther than that of the last sample less a margin. The ground is level over the
-    part of a sensor's trail that is not compared (`uncompared_m`).
+    part of a sensor's trail that the tool does not travel in MAX_LAG_S.
     While the tool goes back since the newest sample, ground ahead of it lies behind the footprint.
     Of a sensor that leads the setpoints of the models are for its footprint, the blend is for the tool.
 
@@ -115,7 +116,9 @@ def blend_setpoints(params, adaptive, ahead_m, standoff_m, renew):
         ahead_m = speed_mps * (since_s + controller_clock.mean_wait_s(params, adaptive.controller))
     elif not turned:
         footprint_m = ahead_m + adaptive.sample.lead_m if sensor_leads(adaptive) else 0.0
-        ahead_m = max(ahead_m - shadow_axes.uncompared_m(adaptive), 0.0)
+        # no model is extrapolated where no shadow axis shows how well that would do
+        uncompared_m = max(-adaptive.sample.lead_m - speed_mps * MAX_LAG_S, 0.0)
+        ahead_m = max(ahead_m - uncompared_m, 0.0)
     lead_length_m = speed_mps * adaptive.plant.tau_s
     if dropout > 0.0:
         dropout_m = min(speed_mps * dropout, max(ahead_m, 0.0))
