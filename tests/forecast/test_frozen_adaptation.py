@@ -30,7 +30,7 @@ def ground_m(x):
 
 
 def learned(adapt: str):
-    """What is learned behind 500 scored samples, and at the end of the run.
+    """All that is learned, behind 500 scored samples and at the end of the run.
 
     The axis is quicker than configured. The tool travels; then it rests, and its stand-off goes up and down
     while the ranges are 12 ms older than their timestamps.
