@@ -1,8 +1,10 @@
-"""Standard output that takes nothing, as on a full disk: a line and exit code 1."""
+"""Standard output that takes nothing: on a full disk a line and exit code 1, a closed pipe."""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -104,3 +106,14 @@ def test_a_closed_output_is_no_fault(service: Service, verb: str) -> None:
     words = ["sh", "-c", 'exec "$@" >&-', "-", sys.executable, "-m", "surffollow", *verbs]
     done = subprocess.run(words, stderr=subprocess.PIPE, text=True, timeout=READY_S)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("words", [("--help",), ("blocks", "ls"), ("benchmark", "--list", "--json")])
+def test_a_closed_pipe_ends_a_command_as_sigpipe_would(words: tuple[str, ...]) -> None:
+    """It was 1, 141, or 120 with "Exception ignored", by the buffering and by what printed."""
+    read_fd, write_fd = os.pipe()
+    os.close(read_fd)
+    command = [sys.executable, "-m", "surffollow", *words]
+    done = subprocess.run(command, stdout=write_fd, stderr=subprocess.PIPE, text=True, timeout=READY_S)
+    os.close(write_fd)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")

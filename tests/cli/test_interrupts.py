@@ -118,3 +118,26 @@ def test_a_signal_while_a_file_is_written_leaves_nothing_of_it(
     done = subprocess.run([*command, str(tmp_path / "b.npz")], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (128 + number, "")
     assert list(tmp_path.iterdir()) == [source]
+
+
+# NumPy prints the interrupt that its C code met while it was imported, and raises an error of its own
+LOST = """
+import ctypes
+import surffollow.benchmark.evaluation as evaluation
+
+def run(*_):
+    ctypes.pythonapi.PyRun_SimpleString(b"import signal; signal.raise_signal(signal.SIGINT)")
+    raise ImportError("numpy._core.umath failed to import")
+
+evaluation.run = run
+from surffollow.cli.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_an_error_behind_a_lost_interrupt_is_no_fault(words: tuple[str, ...]) -> None:
+    command = [sys.executable, "-c", LOST, "benchmark", *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGINT, "")
+    assert (json.loads(done.stdout)["error"] if words else done.stdout) == ("interrupted" if words else "")

@@ -26,16 +26,12 @@ from surffollow.arbiter.name_owner import own_name
 from surffollow.config.group_id import configured_group_id
 from surffollow.config.service import mode
 from surffollow.errors import ServiceError
-from surffollow.shm.ending_signals import handle_ending
+from surffollow.shm.ending_signals import EndedEarly, ends_already, handle_ending
 from surffollow.shm.name_lock import NameLock
 from surffollow.shm.python_atomics import load_acquire, store_release
 
 _SYS_FUTEX_WAITV, _ENOSYS = 449, 38
 COUNTER_BITS = 28  # of a token's low half: grants of one resource in one epoch
-
-
-class _EndedEarly(BaseException):
-    """A signal to end came while kernels were being compiled; nothing in between may catch it."""
 
 
 class Server:
@@ -122,11 +118,12 @@ class Server:
             if threading.current_thread() is threading.main_thread():
                 # Python runs a handler between two bytecodes: a signal just before a wait would not end it
                 signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False)
-                handle_ending(lambda *_: self._on_signal())
+                handle_ending(lambda number, _: self._on_signal(number))
             self._start_resources()
             run_rounds(self.mem, 0)  # compiles, or loads what was compiled
             self._compiling = False
-        except _EndedEarly:
+        except EndedEarly:
+            self._compiling = False
             self._end(thread)
             return
         self._wake_loop()
@@ -141,11 +138,10 @@ class Server:
         finally:
             self._end(thread)
 
-    def _on_signal(self) -> None:
+    def _on_signal(self, number: int) -> None:
         """Leave a compilation at once; otherwise the wake-up descriptor ends the wait for clients."""
-        if self._compiling:
-            self._compiling = False
-            raise _EndedEarly
+        if self._compiling and not ends_already(EndedEarly):
+            raise EndedEarly(number)
 
     def _loop_thread(self) -> None:
         try:

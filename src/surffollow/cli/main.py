@@ -17,7 +17,7 @@ import click
 from surffollow.cli import old_names
 from surffollow.errors import FaultError, SurffollowError, UsageError, escaped
 from surffollow.extras import missing_library
-from surffollow.shm.ending_signals import Terminated, ended_by_signals
+from surffollow.shm.ending_signals import Terminated, ended_by_signals, sent_again
 
 # a disk, or a share of it, that is full or gone
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -77,6 +77,8 @@ class LazyGroup(click.Group):
             return super().make_context(*words, **extra)
         except KeyboardInterrupt:
             raise click.exceptions.Exit(128 + signal.SIGINT) from None
+        except BrokenPipeError:
+            raise pipe_closed() from None
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         ctx.meta[AS_JSON] = "--json" in (args[: args.index("--")] if "--" in args else args)
@@ -85,7 +87,7 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the verb. The text of an error goes to stderr in any case (`main`, click)."""
         try:
-            return super().invoke(ctx)
+            return self._invoke_until_signal(ctx)
         except (SurffollowError, click.ClickException, ModuleNotFoundError) as error:
             if ctx.meta[AS_JSON]:
                 print_error(error)
@@ -97,10 +99,26 @@ class LazyGroup(click.Group):
             raise click.exceptions.Exit(code) from None
         except click.exceptions.Exit:
             raise
+        except BrokenPipeError:
+            raise pipe_closed() from None
         except Exception as error:
             if ctx.meta[AS_JSON]:
                 print_unexpected(error)
             raise
+
+    def _invoke_until_signal(self, ctx: click.Context) -> Any:
+        """Run the verb; what fails because a signal's exception was lost in C code ends by that signal."""
+        with sent_again() as lost:
+            try:
+                return super().invoke(ctx)
+            except click.exceptions.Exit:
+                raise
+            except Exception:
+                if not lost.number:
+                    raise
+                if lost.number == signal.SIGINT:
+                    raise KeyboardInterrupt from None
+                raise Terminated(128 + lost.number) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
@@ -169,7 +187,7 @@ def print_unexpected(error: Exception) -> None:
     """Print an error that no command expects as one JSON object; not where stdout takes nothing any more."""
     if lacks_memory(error):
         click.echo(json_error(NO_MEMORY, FaultError.__name__, 1))
-    elif not (isinstance(error, OSError) and error.errno in (errno.EPIPE, *NO_ROOM)):
+    elif not (isinstance(error, OSError) and error.errno in NO_ROOM):
         text = f"{OUR_FAULT}: {type(error).__name__}: {error}"
         click.echo(json_error(text, FaultError.__name__, 1))
 
@@ -260,7 +278,7 @@ def main(argv: list[str] | None = None) -> Any:
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:
-        sys.exit(141)
+        sys.exit(pipe_closed().exit_code)
     except OSError as e:
         if lacks_memory(e):
             print(f"surffollow: {NO_MEMORY}", file=sys.stderr)
@@ -281,6 +299,12 @@ def end_with_traceback() -> NoReturn:
     traceback.print_exc()
     print(f"surffollow: {OUR_FAULT}, with the traceback above", file=sys.stderr)
     sys.exit(1)
+
+
+def pipe_closed() -> click.exceptions.Exit:
+    """The end of a command whose output goes into a pipe that is closed, as by `head`: as if by SIGPIPE."""
+    throw_output_away()
+    return click.exceptions.Exit(128 + signal.SIGPIPE)
 
 
 def throw_output_away() -> None:

@@ -44,7 +44,7 @@ from surffollow.service.shared_objects import SharedObjects, open_shared_objects
 from surffollow.service.slot_server import SlotServer
 from surffollow.service.worker_threads import WorkerThreads
 from surffollow.shm import layout_board as lb
-from surffollow.shm.ending_signals import handle_ending
+from surffollow.shm.ending_signals import EndedEarly, ends_already, handle_ending
 from surffollow.shm.latch import latch_write
 from surffollow.shm.layout_follow import Output
 from surffollow.shm.python_atomics import store_release
@@ -53,10 +53,6 @@ from surffollow.shm.readable import wait_readable
 HOUSEKEEPING_S = 0.05
 DRIVER_END_S = 4.0
 END_S = 8.0  # for both threads to end, the map's queue applied
-
-
-class _EndedEarly(BaseException):
-    """A signal to end came while kernels were being compiled; nothing in between may catch it."""
 
 
 class Daemon:
@@ -173,7 +169,7 @@ class Daemon:
                 store_release(stop, 1)
                 run_map(self.map_mem)
                 publish_params(self.mem)
-            except _EndedEarly:
+            except EndedEarly:
                 return False
             finally:
                 self._compiling = False
@@ -197,15 +193,14 @@ class Daemon:
 
     def _take_signals(self) -> None:
         if threading.current_thread() is threading.main_thread():
-            handle_ending(lambda *_: self._on_signal())
+            handle_ending(lambda number, _: self._on_signal(number))
             signal.signal(signal.SIGIO, signal.SIG_IGN)  # a process opened memory that is being examined
 
-    def _on_signal(self) -> None:
+    def _on_signal(self, number: int) -> None:
         """Ask to end; a compilation, which may last a minute, is left at once."""
         self.stop()
-        if self._compiling:
-            self._compiling = False
-            raise _EndedEarly
+        if self._compiling and not ends_already(EndedEarly):
+            raise EndedEarly(number)
 
     def stop(self) -> None:
         """Ask `run` to end, from a signal handler or another thread (a pipe holds no lock)."""
