@@ -11,6 +11,7 @@ import pytest
 
 from running_service import POSE, Service, drive, program, said, until
 from service.pose_senders import SENDER
+from surffollow.cli.status import render
 from surffollow.client import DEMAND_BYTES, STALE, Client
 from surffollow.client.demand import VALID
 from surffollow.errors import NotRunningError
@@ -42,12 +43,13 @@ def test_a_killed_service_is_stale_after_the_configured_periods_and_demands_zero
         assert "STALE" in demand.names
         assert watcher.raw_distance() != watcher.raw_distance(), "NaN"
         status = watcher.status()
-        assert (status["alive"], status["state"]) == (False, "stale")
+        assert (status["alive"], status["state"], status["process_runs"]) == (False, "stale", False)
         done = s.run("status", "--json")
         assert done.returncode == 1
         assert json.loads(done.stdout)["state"] == "stale"
         first = s.run("status").stdout.splitlines()[0]
-        assert first.endswith("; the lines below are what it published last")
+        remedy = f"its process has ended: surffollow start --name {s.name}"
+        assert first.endswith(f"{remedy}; the lines below are what it published last")
 
 
 def test_a_client_that_knows_of_the_end_gives_no_demand_however_new_it_is(make_service: Make) -> None:
@@ -127,7 +129,9 @@ def test_a_stopped_and_continued_service_recovers_and_keeps_its_clients(make_ser
             s.freeze()
             until(lambda: not client.alive(), "silence")
             assert list(client.dev_vector()) == ZERO
-            assert client.status()["state"] == "stale"
+            status = client.status()
+            assert (status["state"], status["process_runs"]) == ("stale", True)
+            assert f"its process stands still: kill -CONT {status['pid']} where" in render(status)
             s.send(signal.SIGCONT)
             before = client.status()["poses"]
             drive(client, lambda before=before: client.status()["poses"] > before + 3, what="poses")

@@ -153,13 +153,14 @@ class _Progress:
 
     def __init__(self) -> None:
         self._next_s = time.monotonic() + LINE_EVERY_S
+        self._shown = False  # a line of the present stage, which its last one follows
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         now_s = time.monotonic()
         if sys.stderr.isatty():
             end = "\n" if done == total else ""
             sys.stderr.write(f"\r{stage}: {done}/{total}{end}")
-        elif now_s >= self._next_s:
-            self._next_s = now_s + LINE_EVERY_S
+        elif now_s >= self._next_s or (self._shown and done == total):
+            self._next_s, self._shown = now_s + LINE_EVERY_S, done < total
             sys.stderr.write(f"{stage}: {done}/{total}\n")
         sys.stderr.flush()

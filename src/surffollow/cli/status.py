@@ -193,6 +193,16 @@ def map_text(name: str, m: dict[str, Any], unit: tuple[float, str]) -> str:
     )
 
 
+def silent_text(s: dict[str, Any]) -> str:
+    """Why a service that publishes nothing does not, as far as its process shows, and the remedy."""
+    if s["process_runs"]:
+        return (
+            f", its process stands still: kill -CONT {s['pid']} where it was stopped; otherwise "
+            f"kill -9 {s['pid']}, and start it anew"
+        )
+    return f", its process has ended: surffollow start --name {s['name']}"
+
+
 def render(s: dict[str, Any]) -> str:
     """The status as a few lines of text."""
     from surffollow.shm.bit_names import GRANT_NAMES
@@ -216,7 +226,7 @@ def render(s: dict[str, Any]) -> str:
         f"granted  {', '.join(granted) or 'nothing'}",
     ]
     if not s["alive"]:
-        lines[0] += "; the lines below are what it published last"
+        lines[0] += f"{silent_text(s)}; the lines below are what it published last"
     # behind the line of clients, and behind that of poses
     lines[7:7] = [
         f"         slot {c['slot']}: {c['name']}, pid {c['pid']}, user {c['uid']}" for c in s["clients"]

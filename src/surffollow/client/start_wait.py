@@ -61,7 +61,7 @@ class StartWait:
 
                     self._reported_s = waited_s
                     logging.getLogger("surffollow").warning(
-                        "surffollow: waiting for service %r: %s", self._name, compiling
+                        "surffollow: waiting for service %r for %.0f s: %s", self._name, waited_s, compiling
                     )
                 time.sleep(0.02)
                 return

@@ -36,6 +36,7 @@ def status_report(observer: Observer) -> dict[str, Any]:
         "name": observer.name,
         "state": "stale" if stale and state == STATE_READY else STATES[min(state, 3)],
         "alive": not stale,
+        "process_runs": not (stale and observer.board.has_ended()),
         "pid": observer.board.pid,
         "epoch": observer.board.epoch,
         "period_ns": observer.board.period_ns,
