@@ -8,8 +8,9 @@ import pytest
 
 from surffollow.arbiter.config import parse_config as parse_arbiter
 from surffollow.config.service import parse_config
-from surffollow.errors import ConfigError
+from surffollow.errors import ConfigError, UsageError
 from surffollow.hw.registry import make_driver
+from surffollow.record.columns import parse_columns
 from surffollow.sim.plant import PlantConfig, from_table
 
 
@@ -53,6 +54,17 @@ def test_a_wrong_key_of_one_of_several_tables_names_the_table(wrong: dict[str, A
 def test_a_missing_key_of_a_driver_is_named() -> None:
     with pytest.raises(ConfigError, match=r"driver 'serial': key 'range_min_m' is missing"):
         make_driver({"kind": "serial", "port": "/dev/ttyX"}, "keys")
+
+
+def test_a_word_that_is_no_choice_is_named_with_those_that_are() -> None:
+    columns = {
+        "time": {"column": "t", "unit": "s"},
+        "range": {"column": "d", "unit": "m", "kind": "altitude"},
+    }
+    with pytest.raises(
+        UsageError, match=r"key range\.kind: 'altitude' is no choice; it is 'range' or 'depth'"
+    ):
+        parse_columns(columns)
 
 
 def test_a_wrong_type_in_a_plant_names_the_key() -> None:

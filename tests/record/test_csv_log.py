@@ -198,6 +198,10 @@ def test_a_recording_that_is_named_as_a_log_is_told(tmp_path: Path, recording_by
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        (
+            {"position": {"north": "lat", "east": "lon", "unit": "deg"}},
+            r"\[position\] unit: unit 'deg' is an angle.*; convert latitude and longitude to metres",
+        ),
         ({"time": {"column": "t", "unit": "utc"}}, "unknown unit 'utc'.*, and \"iso8601\" for dates"),
         ({"time": {"column": "t", "unit": "hours"}}, r"\[time\] unit: unknown unit 'hours'"),
         ({"range": {"column": "d", "unit": "s"}}, r"\[range\] unit: .*'s' is a time"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import errno
+import json
 import os
 import re
 from pathlib import Path
@@ -87,6 +88,24 @@ def test_the_summary_and_the_figure_tell_the_first_time_from_the_last(tmp_path: 
     texts = re.findall("<!-- (.*?) -->|<text[^>]*>([^<]*)<", drawn)
     assert len(texts) > 20
     assert not [t for t in texts if re.search(r"\de[+-]?\d", "".join(t))]  # no tick has an exponent
+
+
+def test_a_log_with_dates_is_cut_and_described_by_dates(tmp_path: Path) -> None:
+    rows = [row(0.5 * k).split(",", 1)[1] for k in range(40)]
+    dated = [f"2024-11-27T14:{20 + k // 20}:{k % 20 * 3:02d}.250Z,{text}" for k, text in enumerate(rows)]
+    survey(tmp_path, [row(0.0), row(1.0)])
+    (tmp_path / "log.csv").write_text("t,e,n,u,r,roll,pitch,yaw\n" + "\n".join(dated) + "\n")
+    declared = (tmp_path / "c.toml").read_text().replace('unit = "s"', 'unit = "iso8601"', 1)
+    (tmp_path / "c.toml").write_text(declared)
+    figure = tmp_path / "log.svg"
+    text = replayed(tmp_path, "--plot", str(figure))
+    assert "2024-11-27T14:20:00.250Z to 2024-11-27T14:21:57.250Z, adaptive mode" in text
+    assert "since 2024-11-27T14:20:00.250Z<" in figure.read_text()
+    cut = ["--start", "2024-11-27T14:21:00Z", "--end", "2024-11-27 14:21:30.5", "--json"]
+    said = json.loads(replayed(tmp_path, *cut))
+    assert (said["rows"], said["start"]) == (11, "2024-11-27T14:21:00.250Z")
+    assert said["end"] == "2024-11-27T14:21:30.250Z"
+    assert said["start_s"] == 1732717260.25
 
 
 def test_a_late_reading_gives_a_point_below_the_place_where_it_was_taken(tmp_path: Path) -> None:

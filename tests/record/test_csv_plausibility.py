@@ -121,3 +121,27 @@ def test_a_height_of_the_other_sign_is_noted(
     (found,) = survey(tmp_path, columns_of(range=DEPTH | {"kind": kind}, **tables), up=up).notes
     assert "the sign of the height seems wrong" in found
     assert found.endswith(note)
+
+
+@pytest.mark.parametrize(
+    ("names", "scale", "noted"),
+    [
+        (("lat", "lon"), 1e-4, True),
+        (("GPS_Lat", "GPS_Lng"), 1e-4, True),
+        (("lat", "lon"), 100.0, False),
+        (("n", "e"), 1e-4, False),
+    ],
+)
+def test_degrees_that_count_as_metres_are_noted(
+    tmp_path: Path, names: tuple[str, str], scale: float, noted: bool
+) -> None:
+    """A drone's log became a map of 2 m by 2 m."""
+    north, east = names
+    rows = [f"{k / 10},5.0,{47.0 + scale * k},{8.0 + scale * k}" for k in range(60)]
+    (tmp_path / "log.csv").write_text("\n".join([f"t,d,{north},{east}", *rows]))
+    place = {"north": north, "east": east, "unit": "m"}
+    time, distance = {"column": "t", "unit": "s"}, {"column": "d", "unit": "m"}
+    columns = parse_columns({"time": time, "range": distance, "position": place})
+    notes = read_csv(tmp_path / "log.csv", columns).notes
+    text = f'[position] north = "{north}" and east = "{east}" look like degrees, and count as m: convert'
+    assert any(note.startswith(text) for note in notes) == noted

@@ -23,7 +23,15 @@ from surffollow.map import HeightMap
 from surffollow.map.formats.axis_labels import round_origin
 from surffollow.record import plot_recording, samples, writer
 from surffollow.record.drawn_series import MAX_ROWS, drawn_series
-from surffollow.record.figure import new_figure, outliers, save_figure, shade, spans, with_room
+from surffollow.record.figure import (
+    limits_beside_outliers,
+    new_figure,
+    outliers,
+    save_figure,
+    shade,
+    spans,
+    with_room,
+)
 from surffollow.record.latency_histogram import log_histogram
 from surffollow.record.plot_recording import forecast_errors, read_figure_data
 
@@ -105,6 +113,37 @@ def figure_of(folder: Path, rows: list[str]) -> str:
     words = [str(folder / "log.csv"), "--columns", str(folder / "columns.toml"), "--out", str(out)]
     CliRunner().invoke(plot_command, words, catch_exceptions=False)
     return words_of(out)
+
+
+def test_the_errors_drawn_are_of_the_first_horizon_that_has_readings(tmp_path: Path) -> None:
+    """A log of a reading per second had an empty panel for the default 0.2 s."""
+    forecast = COLUMNS.replace('["0.5 s"]', '["0.2 s", "1 s"]')
+    rows = [f"{k},{2.0 + 0.2 * np.sin(k)},{k}" for k in range(60)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,d,n", *rows]) + "\n")
+    (tmp_path / "columns.toml").write_text(
+        forecast.replace('unit = "m"\nmax', 'kind = "depth"\nunit = "m"\nmax')
+    )
+    out = tmp_path / "log.svg"
+    words = [str(tmp_path / "log.csv"), "--columns", str(tmp_path / "columns.toml"), "--out", str(out)]
+    CliRunner().invoke(plot_command, words, catch_exceptions=False)
+    assert "Depth 1 s ahead" in words_of(out)
+    assert "no forecast has a reading" not in words_of(out)
+
+
+def test_wild_readings_leave_the_ground_its_axis_and_its_colours(tmp_path: Path) -> None:
+    rows = [
+        f"{k / 10},{18.0 if k in (50, 90) else 2.0 + 0.2 * np.sin(k / 9):.4f},{k / 20}" for k in range(200)
+    ]
+    drawn = figure_of(tmp_path, rows)
+    assert "2 outliers, 2 beyond the axis" in drawn
+    assert re.search(r">distance \[mm\]<", drawn), "the others span less than half a metre"
+    assert re.search(r">height[^<]*\[mm\]<", drawn), "of the colours"
+    usual = 2.0 + 0.2 * np.sin(np.arange(200) / 9)
+    odd = np.arange(200) % 100 == 50
+    low, high = limits_beside_outliers(np.where(odd, 18.0, usual), odd)
+    assert (low, high) == pytest.approx((1.76, 2.9), abs=0.1), "a span more, and room for the legend"
+    near = np.where(odd, 2.4, usual)
+    assert limits_beside_outliers(near, odd) == with_room(near)
 
 
 @pytest.mark.parametrize(
@@ -351,6 +390,15 @@ def test_outliers_are_found_and_steps_are_not() -> None:
     values[[50, 200]] += [0.01, -0.01]
     values[100:104] = np.nan
     assert np.flatnonzero(outliers(values)).tolist() == [50, 200]
+
+
+@pytest.mark.parametrize("wild", [0, 1, 98, 99])
+def test_a_wild_reading_at_an_end_is_an_outlier(wild: int) -> None:
+    """The first and the last counted five times in their own median of nine."""
+    values = 2.0 + 0.1 * np.sin(np.arange(100) / 9)
+    assert not outliers(values).any()
+    values[wild] = 130.0
+    assert np.flatnonzero(outliers(values)).tolist() == [wild]
 
 
 @pytest.mark.parametrize("times", [1, 2, 3, 4])

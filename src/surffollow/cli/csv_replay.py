@@ -119,6 +119,13 @@ def replay_csv_command(
     click.echo(json.dumps(summary) if as_json else csv_text(summary))
 
 
+def _span(summary: dict[str, Any]) -> str:
+    """First and last time of the log: as dates, or in seconds."""
+    if "start" in summary:
+        return f"{summary['start']} to {summary['end']}"
+    return f"{numbers_text(summary['start_s'])} to {numbers_text(summary['end_s'])} s"
+
+
 def csv_text(summary: dict[str, Any]) -> str:
     """The summary of a CSV replay as text."""
 
@@ -127,7 +134,7 @@ def csv_text(summary: dict[str, Any]) -> str:
 
     lines = [
         f"{summary['file']}: {summary['readings']} readings in {summary['rows']} rows, "
-        f"{numbers_text(summary['start_s'])} to {numbers_text(summary['end_s'])} s, {summary['mode']} mode",
+        f"{_span(summary)}, {summary['mode']} mode",
         f"{'horizon [s]':>12} {'rms [m]':>10} {'no change [m]':>14} {'ratio':>7} {'n':>7}",
     ]
     for row in summary["forecast"]:

@@ -113,6 +113,19 @@ class Finite(click.FloatRange):
         return float(super().convert(value, param, ctx))
 
 
+class LogTime(Finite):
+    """A time of a CSV log: seconds, or a date with a time as in a log that has dates."""
+
+    name = "TIME"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Seconds of the log, or fail with what was expected."""
+        from surffollow.record.csv_times import seconds_text
+
+        date = seconds_text(value) if isinstance(value, str) else None
+        return super().convert(value if date is None else date, param, ctx)
+
+
 class Amount(click.ParamType):  # type: ignore[type-arg]  # generic only in click 8.3's stubs
     """A positive number with a unit, such as `100MB` or `10min`; a bare number is in the SI unit."""
 

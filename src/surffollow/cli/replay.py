@@ -7,7 +7,7 @@ import click
 from surffollow.cli.clipped_heights import warn_of_clipped
 from surffollow.cli.convert import report_damage
 from surffollow.cli.csv_replay import TABLES, output_suffix, replay_csv_command
-from surffollow.cli.option_types import COLUMNS, JSON, SERVICE_NAME, Finite, InputFile, OutputFile
+from surffollow.cli.option_types import COLUMNS, JSON, SERVICE_NAME, InputFile, LogTime, OutputFile
 from surffollow.cli.progress import shows_compiling
 from surffollow.errors import escaped
 
@@ -16,8 +16,8 @@ from surffollow.errors import escaped
 @click.argument("file", type=InputFile(streams=True))
 @JSON
 @COLUMNS
-@click.option("--start", type=Finite(), help="CSV: first time, in seconds of the log.")
-@click.option("--end", type=Finite(), help="CSV: last time, in seconds of the log.")
+@click.option("--start", type=LogTime(), help="CSV: first time, in seconds of the log or as a date.")
+@click.option("--end", type=LogTime(), help="CSV: last time, in seconds of the log or as a date.")
 @click.option("--mode", type=click.Choice(["paper", "adaptive"]), help="CSV: how to follow.")
 @click.option(
     "--out",

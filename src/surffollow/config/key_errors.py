@@ -17,6 +17,8 @@ _UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>[^`]*)`" + _AT)
 _MISSING = re.compile(r"Object missing required field `(?P<key>[^`]*)`" + _AT)
 _OTHER = re.compile(r"(?P<text>Expected .*) - at `\$\.?(?P<path>[^`]+)`$")
 
+_CHOICE = re.compile(r"Invalid enum value '(?P<value>[^']*)' - at `\$\.?(?P<path>[^`]+)`$")
+
 _TOML_WORDS = {"object": "a table", "array": "a list", "null": "nothing"}
 
 
@@ -58,6 +60,13 @@ def key_error_text(
         return f"key {found['key']!r}{of} is unknown{hint}"
     if found := _MISSING.match(text):
         return f"key {found['key']!r}{_of(_named(found['path'], kind, data))} is missing"
+    if found := _CHOICE.match(text):
+        *tables, name = re.findall(r"\w+", found["path"])
+        table = _table(kind, tables)
+        fields = msgspec.structs.fields(table) if table is not None else ()
+        choices = next((typing.get_args(f.type) for f in fields if f.encode_name == name), ())
+        either = f"; it is {' or '.join(repr(c) for c in choices)}" if choices else ""
+        return f"key {found['path']}: {found['value']!r} is no choice{either}"
     if found := _OTHER.match(text):
         said = found["text"][0].lower() + found["text"][1:]
         for json_word, toml_word in _TOML_WORDS.items():

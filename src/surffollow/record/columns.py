@@ -16,6 +16,7 @@ from surffollow.record.csv_times import ISO_UNIT
 from surffollow.units import parse_quantity, unit_scale
 
 Quantity = str | float
+DEGREES_REMEDY = "convert latitude and longitude to metres north and east first (docs/reference/csv-logs.md)"
 
 
 class TimeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -149,10 +150,19 @@ def parse_columns(data: dict[str, Any], source: str = "column file") -> Columns:
                 try:
                     unit_scale(table.unit, si_unit)
                 except UsageError as error:
-                    raise UsageError(f"{error}{other}") from None
+                    raise UsageError(f"{error}{other}{_degrees(key, table.unit)}") from None
     with naming_source(source, UsageError):
         _check(columns)
     return columns
+
+
+def _degrees(key: str, unit: str) -> str:
+    """The remedy for positions in degrees; empty: that is not the fault."""
+    try:
+        unit_scale(unit, "rad")
+    except UsageError:
+        return ""
+    return f"; {DEGREES_REMEDY}" if key == "position" else ""
 
 
 def _check(c: Columns) -> None:

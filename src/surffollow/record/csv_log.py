@@ -78,7 +78,7 @@ class CsvLog:
             first, last = (numbers_text(float(t)) for t in self.t_s[[0, -1]])
             raise UsageError(
                 f"no row lies between --start and --end: the times of the log are {first} to {last} s; "
-                "give both in its seconds"
+                "give both in its seconds, or as dates where it has them"
             )
         reference = None if self.reference_m is None else self.reference_m[keep]
         since = None if self.since_s is None else self.since_s[keep]

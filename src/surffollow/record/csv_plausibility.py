@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from surffollow.record.columns import Columns
+from surffollow.record.columns import DEGREES_REMEDY, Columns
 from surffollow.record.csv_times import ISO_UNIT
 from surffollow.units import unit_scale
 
@@ -57,7 +57,22 @@ def unit_notes(
     """
     has = np.isfinite(pose).all(axis=1)
     notes = _time_notes(columns, t_s, pose[has], t_s[has])
+    notes += _degree_notes(columns, cells)
     return (*notes, *_angle_notes(columns, cells, pose), *_height_notes(columns, range_m, pose[:, 2]))
+
+
+def _degree_notes(columns: Columns, cells: Mapping[str, NDArray[np.float64]]) -> list[str]:
+    place = columns.position
+    if place is None or place.north is None or place.east is None:
+        return []
+    named = "lat" in place.north.lower() and any(w in place.east.lower() for w in ("lon", "lng"))
+    values = ((cells[place.north], 90.0), (cells[place.east], 180.0))
+    if not named or any(not (np.isfinite(v).any() and np.nanmax(np.abs(v)) <= most) for v, most in values):
+        return []
+    return [
+        f'[position] north = "{place.north}" and east = "{place.east}" look like degrees, and count as '
+        f"{place.unit}: {DEGREES_REMEDY}"
+    ]
 
 
 def _time_notes(

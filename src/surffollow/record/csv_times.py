@@ -1,9 +1,11 @@
-"""Dates and times of a CSV log (ISO 8601) as seconds since 1970, digit for digit."""
+"""Dates and times of a CSV log (ISO 8601) as seconds since 1970, digit for digit, and back."""
 
 from __future__ import annotations
 
 import re
 from datetime import datetime, timedelta, timezone
+
+from surffollow.units import numbers_text
 
 ISO_UNIT = "iso8601"  # the `[time] unit` of such a column
 _ISO = re.compile(
@@ -11,6 +13,16 @@ _ISO = re.compile(
     re.I,
 )
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+
+
+def date_text(seconds: float) -> str:
+    """Seconds since 1970 as a date with a time in UTC, to a millisecond; as a number beyond the year 9999."""
+    try:
+        at = _EPOCH + timedelta(milliseconds=round(1e3 * seconds))
+    except OverflowError:
+        return f"{numbers_text(seconds)} s"
+    text = at.replace(tzinfo=None).isoformat(timespec="milliseconds")
+    return text.removesuffix(".000") + "Z"
 
 
 def seconds_text(cell: str) -> str | None:

@@ -48,6 +48,8 @@ STYLE: Any = {
 A4_IN = (8.27, 11.69)
 # a reading is an outlier when it is so many standard deviations from the median of its neighbours
 OUTLIER_SIGMAS, NEIGHBOURS = 8.0, 9
+# an axis leaves so many spans of the other values to outliers on either side
+OUTLIER_ROOM = 1.0
 
 
 def check_figure(path: str | Path) -> None:
@@ -150,7 +152,7 @@ def outliers(values: NDArray[np.float64]) -> NDArray[np.bool_]:
     has = np.flatnonzero(np.isfinite(values))
     if has.size < NEIGHBOURS:
         return found
-    off = values[has] - median_filter(values[has], NEIGHBOURS, mode="nearest")
+    off = values[has] - median_filter(values[has], NEIGHBOURS, mode="mirror")
     sigma = 1.4826 * float(np.median(np.abs(off)))
     # a sensor of coarse steps scatters by nothing at all most of the time, and rows may repeat a value
     steps = np.abs(np.diff(values[has]))
@@ -163,20 +165,45 @@ def outliers(values: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def mark_outliers(
-    ax: Any, t: NDArray[np.float64], values: NDArray[np.float64], odd: NDArray[np.bool_]
+    ax: Any,
+    t: NDArray[np.float64],
+    values: NDArray[np.float64],
+    odd: NDArray[np.bool_],
+    limits: tuple[float, float] = (-np.inf, np.inf),
 ) -> None:
-    """Cross them out, with their number in the legend.
+    """Cross them out, with their number in the legend; beyond the limits at the edge.
 
     Parameters
     ----------
     ax : Axes
     t, values : (n,) float64  in units of the axes
     odd : (n,) bool           the outliers
+    limits : (low, high)      of the axis of the values
     """
     n = int(odd.sum())
     if n:
-        label = f"{n} outlier{'s' * (n != 1)}"
-        ax.plot(t[odd], values[odd], "x", ms=5, mew=1.2, color=RED, label=label)
+        beyond = int(np.sum((values[odd] < limits[0]) | (values[odd] > limits[1])))
+        label = f"{n} outlier{'s' * (n != 1)}" + f", {beyond} beyond the axis" * bool(beyond)
+        at = np.clip(values[odd], *limits)
+        ax.plot(t[odd], at, "x", ms=5, mew=1.2, color=RED, label=label, clip_on=not beyond)
+
+
+def limits_beside_outliers(
+    values: NDArray[np.float64], odd: NDArray[np.bool_], least: float = 0.0
+) -> tuple[float, float]:
+    """Limits as `with_room` of all values; outliers count that far out as the other values reach, at most.
+
+    Parameters
+    ----------
+    values : (n,) float64  in units of the axis; not finite: none
+    odd : (n,) bool        the outliers
+    least : float          as for `with_room`
+    """
+    low, high = ends(values[~odd])
+    span = max(high - low, least * abs(high))
+    if span > 0.0:
+        values = np.clip(values, low - OUTLIER_ROOM * span, high + OUTLIER_ROOM * span)
+    return with_room(values, least)
 
 
 def robust_limits(values: NDArray[np.float64], part: float = 99.5) -> tuple[float, float]:

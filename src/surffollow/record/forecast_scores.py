@@ -13,6 +13,7 @@ from surffollow.record.columns import Columns
 from surffollow.record.csv_plausibility import other_time_unit
 from surffollow.record.csv_points import pose_notes
 from surffollow.record.csv_replay import CsvReplay, follow_notes, horizon_notes
+from surffollow.record.csv_times import ISO_UNIT, date_text
 
 
 def score_forecast(replay: CsvReplay, columns: Columns) -> list[dict[str, float]]:
@@ -87,6 +88,13 @@ def unscored_notes(replay: CsvReplay, columns: Columns, rows: list[dict[str, flo
     ]
 
 
+def _dates(columns: Columns, start_s: float, end_s: float) -> dict[str, str]:
+    """First and last time as dates, of a log that has dates."""
+    if columns.time.unit != ISO_UNIT:
+        return {}
+    return {"start": date_text(start_s), "end": date_text(end_s)}
+
+
 def summarise(path: str | Path, replay: CsvReplay, columns: Columns) -> dict[str, Any]:
     """The replay in one dictionary, ready for JSON (a figure that does not exist is None)."""
     log = replay.log
@@ -100,6 +108,7 @@ def summarise(path: str | Path, replay: CsvReplay, columns: Columns) -> dict[str
         "readings": int(np.isfinite(log.range_m).sum()),
         "start_s": float(log.t_s[0]),
         "end_s": float(log.t_s[-1]),
+        **_dates(columns, float(log.t_s[0]), float(log.t_s[-1])),
         "height_m": {"min": float(heights.min()), "mean": float(heights.mean()), "max": float(heights.max())},
         "slope": {"min": float(slopes.min()), "mean": float(slopes.mean()), "max": float(slopes.max())},
         "notes": [*log.notes]

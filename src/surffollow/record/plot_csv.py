@@ -13,6 +13,7 @@ from surffollow.map.formats.axis_labels import label_axis, label_plan
 from surffollow.record import figure as fg
 from surffollow.record.columns import Columns
 from surffollow.record.csv_replay import CsvReplay
+from surffollow.record.csv_times import ISO_UNIT, date_text
 from surffollow.record.drawn_series import MAX_ROWS, draw_series, drawn_series, pauses, reduction
 from surffollow.record.forecast_scores import Pairs, pair_forecasts, score_forecast
 from surffollow.record.format import name_text
@@ -48,17 +49,26 @@ def plot_csv(file: str | Path, replay: CsvReplay, columns: Columns, out: str | P
         figure.suptitle(_headline(file, replay), x=0.02, ha="left", fontsize=9, parse_math=False)
         _draw_ground(axes[0], t, replay, columns)
         _draw_readings(axes[1], t, replay)
-        pairs = pair_forecasts(replay, columns, 0)
-        scores = [s for s in score_forecast(replay, columns) if math.isfinite(s["rms_m"])]
+        every = score_forecast(replay, columns)
+        scores = [s for s in every if math.isfinite(s["rms_m"])]
+        # the first horizon that has readings to compare with: a slow sensor has none after 0.2 s
+        shown = every.index(scores[0]) if scores else 0
+        pairs = pair_forecasts(replay, columns, shown)
         rms_m = np.array([[s["rms_m"], s["no_change_rms_m"]] for s in scores])
         scale = fg.error_scale(pairs.forecast_m - pairs.truth_m, pairs.present_m - pairs.truth_m, rms_m)
-        _draw_forecast(axes[2], t, replay, columns.horizons_s[0], pairs, scale)
+        _draw_forecast(axes[2], t, replay, columns.horizons_s[shown], pairs, scale)
         axes[0].set_xlim(*((0.0, float(t[-1])) if t[-1] > 0.0 else (-1.0, 1.0)))
-        axes[2].set(xlabel=f"time [s] since {numbers_text(float(replay.log.t_s[0]))} s of the log")
+        axes[2].set(xlabel=f"time [s] since {_begin(replay, columns)}")
         _draw_scores(figure.add_subplot(grid[3, 0]), scores, rms_m, scale)
         _draw_path(figure, figure.add_subplot(grid[3, 1]), replay, columns)
         fg.save_figure(figure, out)
     return Path(out)
+
+
+def _begin(replay: CsvReplay, columns: Columns) -> str:
+    """The time of the first row, as the log writes it: a date or a number."""
+    first_s = float(replay.log.t_s[0])
+    return date_text(first_s) if columns.time.unit == ISO_UNIT else f"{numbers_text(first_s)} s of the log"
 
 
 def _headline(file: str | Path, replay: CsvReplay) -> str:
@@ -89,7 +99,8 @@ def _draw_ground(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Co
     odd = fg.outliers(ground)
     vehicle = replay.log.pose[:, 2]
     reference = replay.log.reference_m
-    factor, unit = fg.length_scale(np.concatenate([ground, vehicle]))
+    usual = np.concatenate([ground[~odd], vehicle])
+    factor, unit = fg.length_scale(usual)
     fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
     draw_series(ax, drawn_series(t, ground * factor), fg.GREY, "target points", style=".")
     draw_series(ax, drawn_series(t, replay.height_m * factor), fg.INK, "surface, as the follower has it")
@@ -98,24 +109,31 @@ def _draw_ground(ax: Any, t: NDArray[np.float64], replay: CsvReplay, columns: Co
         draw_series(ax, drawn_series(t, reference * factor), fg.GREEN, label)
     has = replay.log.has_pose()
     draw_series(ax, drawn_series(t[has], vehicle[has] * factor), fg.BLUE, "vehicle", lw=1.0)
-    fg.mark_outliers(ax, t, ground * factor, odd)
     shown = np.concatenate([ground, vehicle])
-    ax.set_ylim(*fg.with_room(shown * factor))
+    limits = fg.limits_beside_outliers(shown * factor, np.concatenate([odd, np.zeros(vehicle.size, bool)]))
+    fg.mark_outliers(ax, t, ground * factor, odd, limits)
+    ax.set_ylim(*limits)
     ax.set_title("Ground and vehicle" + reduction(t))
-    label_axis(ax.yaxis, "height", fg.ends(shown), factor, unit)
+    label_axis(ax.yaxis, "height", fg.ends(usual), factor, unit)
     ax.legend(loc="upper right", ncols=3, markerscale=2)
+
+
+def _quantity(replay: CsvReplay) -> str:
+    """The quantity of the readings, as a title begins."""
+    return "Depth" if replay.depth else "Distance"
 
 
 def _draw_readings(ax: Any, t: NDArray[np.float64], replay: CsvReplay) -> None:
     readings = replay.log.range_m
     odd = fg.outliers(readings)
-    factor, unit = fg.length_scale(readings)
+    factor, unit = fg.length_scale(readings[~odd])
     fg.shade(ax, _gaps(t, replay), fg.SAND, "no reading")
     draw_series(ax, drawn_series(t, readings * factor), fg.BLUE, "reading", lw=0.6, style=".-")
-    fg.mark_outliers(ax, t, readings * factor, odd)
-    ax.set_ylim(*fg.with_room(readings * factor, least=0.02))
-    ax.set_title(("Distance" if not replay.depth else "Depth") + reduction(t))
-    ax.set(ylabel=f"{'distance' if not replay.depth else 'depth'} [{unit}]")
+    limits = fg.limits_beside_outliers(readings * factor, odd, least=0.02)
+    fg.mark_outliers(ax, t, readings * factor, odd, limits)
+    ax.set_ylim(*limits)
+    ax.set_title(_quantity(replay) + reduction(t))
+    ax.set(ylabel=f"{_quantity(replay).lower()} [{unit}]")
     ax.legend(loc="upper right", ncols=3, markerscale=2)
 
 
@@ -127,7 +145,7 @@ def _draw_forecast(
     pairs: Pairs,
     scale: tuple[float, str],
 ) -> None:
-    """Errors of the forecasts at the first horizon, at the time that they were for."""
+    """Errors of the forecasts at a horizon, at the time that they were for."""
     predicted, still = pairs.forecast_m - pairs.truth_m, pairs.present_m - pairs.truth_m
     both = np.concatenate([predicted, still])
     every = -(-max(predicted.size, 1) // MAX_ROWS)
@@ -148,7 +166,8 @@ def _draw_forecast(
     outside = int(np.sum(np.abs(both * factor) > reach))
     notes = [f"{outside} beyond the axis"] * (outside > 0) + [f"1 of {every} drawn"] * (every > 1)
     ax.set_title(
-        f"Distance {horizon_s:g} s ahead: forecast less reading" + f" ({', '.join(notes)})" * bool(notes)
+        f"{_quantity(replay)} {horizon_s:g} s ahead: forecast less reading"
+        + f" ({', '.join(notes)})" * bool(notes)
     )
     ax.set(ylabel=f"error [{unit}]")
     if both.size:
@@ -193,11 +212,16 @@ def _draw_path(figure: Any, ax: Any, replay: CsvReplay, columns: Columns) -> Non
             text = "no reading has a pose of its time: the log is shorter than the delay"
         ax.text(0.0, 0.9, text, va="top", transform=ax.transAxes)
         return
-    factor, unit = fg.length_scale(points[:, 2])
+    odd = fg.outliers(points[:, 2])
+    low, high = fg.ends(points[~odd, 2])  # one wild reading would leave one colour to all others
+    factor, unit = fg.length_scale(points[~odd, 2])
     points = points[:: -(-len(points) // _MAX_POINTS)]
     image = ax.scatter(points[:, 0], points[:, 1], c=points[:, 2] * factor, s=4, cmap="viridis", lw=0)
-    bar = figure.colorbar(image, ax=ax, shrink=0.9, aspect=25)
-    label_axis(bar.ax.yaxis, "height", fg.ends(points[:, 2]), factor, unit)
+    image.set_clim(low * factor, high * factor)
+    beyond = bool((points[:, 2] < low).any()), bool((points[:, 2] > high).any())
+    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(beyond, "neither")
+    bar = figure.colorbar(image, ax=ax, shrink=0.9, aspect=25, extend=extend)
+    label_axis(bar.ax.yaxis, "height", (low, high), factor, unit)
     ax.set_title("Target points from above")
     ax.set_aspect("equal", adjustable="datalim")
     label_plan(ax, (*fg.ends(points[:, 0]), *fg.ends(points[:, 1])), ("east", "north"))
