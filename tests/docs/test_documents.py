@@ -153,6 +153,18 @@ PARTS_OF_THE_HEADER = {
 }
 
 
+def test_every_result_and_the_structures_of_a_controller_are_in_the_reference():
+    page = (ROOT / "docs" / "reference" / "c-api.md").read_text(encoding="utf-8")
+    header = (ROOT / "include" / "surffollow.h").read_text(encoding="utf-8")
+    named = r"\b(SF_(?:NO_DEMAND|NO_READING|PENDING|UNKNOWN|(?:ERR|REFUSED)_\w+)) = (-?\d+)"
+    listed = {name: number for number, name in re.findall(r"^ +(-?\d+) (SF_\w+): .+", page, re.MULTILINE)}
+    assert dict(re.findall(named, header)).items() <= listed.items()
+    assert " -102 SF_REFUSED_BAD_VALUE: a value is not finite, out of bounds" in page
+    for member in ("pose_t_ns;", "detail;", "auto_reattach;", "sf_main_thread_state ticker;", "low, high;"):
+        assert member in page
+    assert "slot_memory" not in page, "what is private"
+
+
 def test_every_function_of_the_headers_is_in_the_reference():
     """A declaration between a comment and its function would take the comment."""
     page = (ROOT / "docs" / "reference" / "c-api.md").read_text(encoding="utf-8")
