@@ -22,7 +22,6 @@ from surffollow.forecast.terrain.preview import suspend_preview
 from surffollow.forecast.terrain.terrain_buffer import sensor_leads
 from surffollow.shm.jit import jit
 from surffollow.shm.layout_adaptive import N_PLANTS
-from surffollow.shm.layout_follow import RUN_NORMAL
 
 TAU_RATIO = 1.5  # between neighbouring τ
 FOLLOWS_M = 3e-3  # from each axis model: farther away the robot does not follow
@@ -133,8 +132,8 @@ def update_plant(params, adaptive, sense, inputs):
         return
     correct_axis(params, adaptive, t, z)
     # between slow reports poses with old timestamps, too, are a sluggish axis: a longer τ is right
-    applied = params.run == RUN_NORMAL and (slow or not is_pushed(plant))
-    if learns(params, adaptive) and applied and least_m < axis_model.MAX_MODEL_ERROR_M:
+    push_known = slow or not is_pushed(plant)
+    if learns(params, adaptive) and push_known and least_m < axis_model.MAX_MODEL_ERROR_M:
         learn_time_constant(plant, z)
 
 
@@ -154,13 +153,12 @@ def axes_begin(params, adaptive, t_ns):
             plant.error_m2[k] -= least
     applied = adaptive.controller.periods > 0 and setpoint.t_ns != 0 and setpoint.in_dryrun == 0
     continues = plant.t_ns < t_ns <= plant.t_ns + LONG_GAP_NS
-    begins = plant.tau_configured_s == 0.0 or plant.begins != 0
-    other_tau = begins and plant.tau_configured_s != params.plant_tau_s
+    begins = plant.tau_configured_s == 0.0 or plant.begins != 0  # at a start, or behind an SFReset
     plant.begins = 0
-    if other_tau:
+    if begins and plant.tau_configured_s != params.plant_tau_s:
         plant.tau_s = plant.tau_configured_s = params.plant_tau_s
         plant.error_m2[:] = 0.0
-    return not applied or not continues or other_tau
+    return not applied or not continues
 
 
 @jit

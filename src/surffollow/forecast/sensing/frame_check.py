@@ -58,10 +58,10 @@ def _decide(params, adaptive, t_ns, range_m, tool_z_m):
         if obeyed:
             frame.setpoint_m = tool_z_m + lift_m
             _begin_window(frame, layout.FRAME_LIFTED, t_ns, range_m, tool_z_m)
-        elif answers > 2.0 or sum_m > least_m:
+        elif answers > 2.0:
             _begin_window(frame, layout.FRAME_UNKNOWN, t_ns, range_m, tool_z_m)
     elif frame.phase in (layout.FRAME_LIFTED, layout.FRAME_LOWERED):
-        if moved and obeyed and sum_m < 0.5 * difference_m:
+        if obeyed and sum_m < 0.5 * difference_m:  # it has moved, then
             next_phase = layout.FRAME_LOWERED if frame.phase == layout.FRAME_LIFTED else layout.FRAME_REVERSED
             frame.setpoint_m -= lift_m
             _begin_window(frame, next_phase, t_ns, range_m, tool_z_m)
