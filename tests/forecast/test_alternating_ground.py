@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 
 from surffollow.benchmark.job_loop import Job, follow
-from surffollow.forecast.estimation.noise import estimated_range_noise_m, update_noise
+from surffollow.forecast.estimation.noise import update_noise
 from surffollow.forecast.reset import reset_learned
+from surffollow.forecast.sensing import constant_ranges, mean_range
 from surffollow.shm.dtypes import zeros
 from surffollow.shm.layout_adaptive import AdaptiveState
+
+from .feeding import default_params
 
 DRONE = Job(3.0, 0.5, 0.1, 0.05, 2.0, 2.0, 0.03, (0.2, 40.0))
 BOOM = Job(0.5, 0.3, 0.05, 0.02, 0.83, 2.8, 0.003, (0.05, 4.0))
@@ -61,27 +64,56 @@ def test_rows_that_are_seen_a_few_times_each_do_not_lead_the_tool_away(
         assert away < 0.8
 
 
-def noise_over(heights_m: np.ndarray) -> float:
-    """Noise of ranges to such heights, over the noise of a reading [–]."""
-    state, rng = zeros(AdaptiveState)[0], np.random.default_rng(4)
+def band_over(ranges_m: np.ndarray) -> float:
+    """Band of the mean of eight such ranges, over that of their noise by second differences."""
+    params, state = default_params(), zeros(AdaptiveState)[0]
     reset_learned(state)
-    for h_m in heights_m:
+    state["hold"]["interval_s"], state["plant"]["tau_s"] = 4e-3, 0.04
+    constant_ranges.begin_run(params, state, 0.2, ranges_m[0])
+    for range_m in ranges_m:
         state["estimate"]["samples"] += 1
         state["weights"]["scored"] += 1
-        state["hold"]["range_m"] = 0.1 - h_m + 2e-4 * rng.standard_normal()
-        update_noise(state, h_m)
-        state["noise"]["sigma_m"] = 1.0  # heights have more
-    return float(estimated_range_noise_m(state["noise"])) / 2e-4
+        state["hold"]["range_m"] = range_m
+        update_noise(state, 0.2 - range_m)
+        sigma_m = mean_range.range_sigma_m(state)
+        constant_ranges.update_mean(state, range_m, sigma_m, 3.0 * sigma_m)
+    return mean_range.range_band_m(state) / mean_range.mean_band_m(sigma_m, 8.0)
 
 
-@pytest.mark.parametrize("per_row", [2.0, 2.4, 3.0, 3.9, 5.0])
-def test_ground_that_alternates_is_no_noise_of_the_range(per_row):
-    """GIVEN rows of 10 mm that are seen 2 to 5 times each THEN at most a fourth of them counts as noise."""
-    heights_m = 5e-3 * np.sin(2.0 * np.pi * np.arange(2000) / per_row)
-    assert noise_over(heights_m) * 2e-4 < 1.3e-3
+@pytest.mark.parametrize("per_row", [1.7, 2.0, 2.4, 2.7])
+def test_rows_widen_the_band_of_the_mean_range_little(per_row):
+    """GIVEN rows that are seen 1.7 to 2.7 times each THEN the band is half that of noise at most."""
+    rng = np.random.default_rng(4)
+    heights_m = 5e-3 * np.sin(2.0 * np.pi * np.arange(3000) / per_row + 0.7)
+    ranges_m = 0.1 - heights_m + 1e-4 * rng.standard_normal(3000)
+    assert band_over(ranges_m) < 0.5
+    # the mean itself stays within it
+    mean_m, means_m = 0.1, []
+    for range_m in ranges_m:
+        mean_m += (range_m - mean_m) / 8.0
+        means_m.append(mean_m)
+    widest_m = 3.0 * 5e-3 / math.sqrt(8.0)
+    assert np.abs(np.array(means_m[100:]) - 0.1).max() < widest_m
 
 
-def test_noise_is_measured_as_from_sample_to_sample():
-    assert noise_over(np.zeros(2000)) == pytest.approx(1.0, rel=0.2)
-    slopes = 2e-3 * np.abs(np.arange(2000) % 200 - 100)  # 100 samples up, 100 down
-    assert noise_over(slopes) == pytest.approx(1.0, rel=0.3)
+@pytest.mark.parametrize("slope", [0.0, 1e-4])
+def test_noise_has_the_band_of_noise(slope):
+    """GIVEN white noise, over level ground or a slope THEN the band is that of independent ranges."""
+    rng = np.random.default_rng(4)
+    assert band_over(0.1 + slope * np.arange(3000) + 2e-4 * rng.standard_normal(3000)) == 1.0
+
+
+@pytest.mark.parametrize("per_period", [2.5, 5.0])
+@pytest.mark.parametrize("reading_s", [0.02, 0.004])
+def test_a_blocked_sensor_with_a_hum_is_found(reading_s, per_period):
+    """GIVEN a range that is blocked too long, with a hum of 2.5 or 5 samples THEN no contact while VALID."""
+    job = Job(0.1, 0.04, reading_s, 0.004, 0.2, 4.0, 3e-5, (0.03, 0.3))
+    for seed in range(4):
+
+        def misread(t: float, range_m: float, rng: np.random.Generator, seed: int = seed) -> float:
+            hum_m = 3e-3 * math.sin(2.0 * math.pi * t / (per_period * job.reading_s) + seed)
+            return (0.11 if t > 8.0 else range_m) + hum_m
+
+        run = follow(job, lambda x, t: 0.01 * math.sin(5.0 * x), 20.0, 0.1, misread=misread, seed=seed)
+        valid = ["VALID" in state["status"] for state in run.states]
+        assert run.clearance_m[valid].min() > 0.03

@@ -53,7 +53,7 @@ def reset_learned(adaptive):
     weights.recent_m2[:] = weights.longer_m2[:] = 1e-6  # (1 mm)²
     lead.excess_m2[:] = lead.effect_m2[:] = lead.left_out[:] = adaptive.shadow.effort[:] = 0.0
     weights.scored = 0
-    adaptive.noise.sigma_m = adaptive.noise.range_sigma_m = adaptive.noise.range_lags_m[:] = INITIAL_NOISE_M
+    adaptive.noise.sigma_m = adaptive.noise.range_sigma_m = INITIAL_NOISE_M
     gate.scale_m, gate.slot_likelihood = 2.0 * INITIAL_NOISE_M, 1.0
     estimate.slope_power = estimate.quick_slope_power = estimate.kept_slope_power = 0.0
 

@@ -11,7 +11,6 @@ N_PERIODS = 64  # controller periods that the setpoint rings hold: 640 ms
 PENDING_HEIGHTS = 32  # pending heights that enter the terrain buffer when a step is confirmed
 BUFFER_CELLS = 512  # of the terrain buffer, 1 mm each
 MEMORY_CELLS = 1 << 16  # of the terrain memory
-NOISE_LAGS = 5  # samples over which ranges are compared: the longest period of ground that looks like noise
 
 WITHHELD, PENDING, ACCEPTED, STEP, RESTART = range(5)  # what becomes of a sample (`innovation_gate`)
 
@@ -24,9 +23,8 @@ class Noise(Schema):
         doc="standard deviation of a reading, by the running median of second differences",
     )
     recent_m = F64(2, unit="m", doc="the two accepted heights before the newest one")
-    range_sigma_m = F64(unit="m", doc="standard deviation of a range, without the noise of poses")
-    range_lags_m = F64(NOISE_LAGS, unit="m", doc="likewise, by differences over 1, 2, … samples")
-    recent_range_m = F64(2 * NOISE_LAGS, unit="m", doc="the accepted ranges before the newest one")
+    range_sigma_m = F64(unit="m", doc="standard deviation of a range, likewise; without the noise of poses")
+    recent_range_m = F64(2, unit="m", doc="the two accepted ranges before the newest one")
 
 
 class Pending(Schema):

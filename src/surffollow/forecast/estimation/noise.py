@@ -4,11 +4,9 @@ import math
 
 from surffollow.forecast.quantities import QUICK_RATE
 from surffollow.shm.jit import jit
-from surffollow.shm.layout_adaptive_estimation import NOISE_LAGS
 
 MIN_NOISE_M = 50e-6  # a floor, so that no stage trusts a reading without limit
 INITIAL_NOISE_M = 300e-6  # assumed before it is estimated
-ALTERNATING = 0.5  # of the noise over one sample: less over several is no chance
 
 
 @jit
@@ -30,7 +28,7 @@ def range_noise_m(noise):
 
 
 @jit
-def _follow(sigma_m, newest_m, before_m, first_m, scored):
+def follow_noise(sigma_m, newest_m, before_m, first_m, scored):
     """Standard deviation by the running median of second differences, which contain no slope [m].
 
     It is 1.4826 times the median of |x| of a normal distribution; that of a second difference is √6 times σ.
@@ -42,24 +40,15 @@ def _follow(sigma_m, newest_m, before_m, first_m, scored):
 
 @jit
 def update_noise(adaptive, h_m):
-    """Update the noise of the heights and of the ranges with an accepted sample of height `h_m`.
-
-    Ground that alternates from sample to sample (rows, corrugations) looks like noise. But noise differs
-    likewise over any number of samples, such ground differs little over a whole number of its periods: then
-    the noise of the ranges is the least one of differences over 1 to `NOISE_LAGS` samples.
-    """
+    """Update the noise of the heights and of the ranges with an accepted sample of height `h_m`."""
     noise, range_m, scored = adaptive.noise, adaptive.hold.range_m, adaptive.weights.scored
-    samples, lags_m, recent_m = adaptive.estimate.samples, noise.range_lags_m, noise.recent_range_m
-    if samples > 2:
-        noise.sigma_m = _follow(noise.sigma_m, h_m, noise.recent_m[0], noise.recent_m[1], scored)
-    for k in range(NOISE_LAGS):
-        if samples > 2 * k + 2:
-            lags_m[k] = _follow(lags_m[k], range_m, recent_m[k], recent_m[2 * k + 1], scored)
-    noise.range_sigma_m = lags_m.min() if lags_m.min() < ALTERNATING * lags_m[0] else lags_m[0]
-    noise.recent_m[0], noise.recent_m[1] = h_m, noise.recent_m[0]
-    for k in range(2 * NOISE_LAGS - 1, 0, -1):
-        recent_m[k] = recent_m[k - 1]
-    recent_m[0] = range_m
+    heights_m, ranges_m = noise.recent_m, noise.recent_range_m
+    if adaptive.estimate.samples > 2:
+        noise.sigma_m = follow_noise(noise.sigma_m, h_m, heights_m[0], heights_m[1], scored)
+        sigma_m = noise.range_sigma_m
+        noise.range_sigma_m = follow_noise(sigma_m, range_m, ranges_m[0], ranges_m[1], scored)
+    heights_m[0], heights_m[1] = h_m, heights_m[0]
+    ranges_m[0], ranges_m[1] = range_m, ranges_m[0]
 
 
 @jit
