@@ -136,7 +136,7 @@ class MapLoop(ShellLoop):
 
     def look_ahead(self, by_m: float) -> None:
         """A second sensor leads by this distance now; 0: it did before."""
-        self._adaptive["lookahead"]["lead_m"] = by_m
+        self._adaptive["lookahead"]["ahead_m"] = by_m
         self._adaptive["lookahead"]["seen_ns"] = self._adaptive["clock"]["now_ns"]
 
     def tilt(self, x_m: float, y_m: float) -> None:

@@ -168,7 +168,8 @@ class Periods:
         self._adaptive["preview"]["share"] = 1.0
 
     def report(self, number, t_ns):
-        observe_latch(self._controller, zeros(Inputs)[0], number, False, START + t_ns)
+        self._adaptive["clock"]["now_ns"] = START + t_ns
+        observe_latch(self._adaptive, zeros(Inputs)[0], number)
 
     @staticmethod
     def _inputs(answers_each):
