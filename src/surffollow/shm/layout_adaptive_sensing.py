@@ -125,8 +125,6 @@ class ConstantRanges(Schema):
     """Run of constant ranges under a tool that moves (`constant_ranges`)."""
 
     mean_m = F64(unit="m", doc="running mean of the range")
-    mean_sigma_m = F64(2, unit="m", doc="its standard deviation, by differences over 5 and over 8 samples")
-    recent_mean_m = F64(16, unit="m", doc="the means before the newest one")
     error_m = F64(unit="m", doc="usual distance of the mean from the stand-off, outside tests")
     spread_m = F64(unit="m", doc="mean deviation of the ranges from it")
     usual_m = F64(unit="m", doc="the usual one")

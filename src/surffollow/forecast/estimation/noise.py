@@ -28,12 +28,12 @@ def range_noise_m(noise):
 
 
 @jit
-def follow_noise(sigma_m, newest_m, before_m, first_m, scored):
+def _follow(sigma_m, newest_m, recent_m, scored):
     """Standard deviation by the running median of second differences, which contain no slope [m].
 
     It is 1.4826 times the median of |x| of a normal distribution; that of a second difference is √6 times σ.
     """
-    e = 1.4826 / math.sqrt(6.0) * abs(newest_m - 2.0 * before_m + first_m)
+    e = 1.4826 / math.sqrt(6.0) * abs(newest_m - 2.0 * recent_m[0] + recent_m[1])
     step = min(2.0 / max(scored, 1), QUICK_RATE) * max(sigma_m, 0.1 * MIN_NOISE_M)
     return max(sigma_m + (step if e > sigma_m else -step), 0.0)
 
@@ -42,13 +42,11 @@ def follow_noise(sigma_m, newest_m, before_m, first_m, scored):
 def update_noise(adaptive, h_m):
     """Update the noise of the heights and of the ranges with an accepted sample of height `h_m`."""
     noise, range_m, scored = adaptive.noise, adaptive.hold.range_m, adaptive.weights.scored
-    heights_m, ranges_m = noise.recent_m, noise.recent_range_m
     if adaptive.estimate.samples > 2:
-        noise.sigma_m = follow_noise(noise.sigma_m, h_m, heights_m[0], heights_m[1], scored)
-        sigma_m = noise.range_sigma_m
-        noise.range_sigma_m = follow_noise(sigma_m, range_m, ranges_m[0], ranges_m[1], scored)
-    heights_m[0], heights_m[1] = h_m, heights_m[0]
-    ranges_m[0], ranges_m[1] = range_m, ranges_m[0]
+        noise.sigma_m = _follow(noise.sigma_m, h_m, noise.recent_m, scored)
+        noise.range_sigma_m = _follow(noise.range_sigma_m, range_m, noise.recent_range_m, scored)
+    noise.recent_m[0], noise.recent_m[1] = h_m, noise.recent_m[0]
+    noise.recent_range_m[0], noise.recent_range_m[1] = range_m, noise.recent_range_m[0]
 
 
 @jit

@@ -68,7 +68,6 @@ def update_mean(adaptive, range_m, sigma_m, most_m):
     run, number = adaptive.run, mean_range.samples_in_mean(adaptive)
     deviation_m = min(max(range_m - run.mean_m, -most_m), most_m)
     run.mean_m += deviation_m / number
-    mean_range.update_mean_noise(adaptive)
     noise_m = min(abs(deviation_m), mean_range.BAND_SIGMAS * sigma_m)
     run.spread_m += (noise_m - run.spread_m) / (2.0 * MIN_MEANS * number)
     if not is_quiet(run):  # noise far below the usual one is not learned

@@ -2,7 +2,7 @@
 
 import math
 
-from surffollow.forecast.estimation.noise import MIN_NOISE_M, follow_noise, range_noise_m
+from surffollow.forecast.estimation.noise import range_noise_m
 from surffollow.forecast.sensing.sample_hold import resolution_m
 from surffollow.shm.jit import jit
 
@@ -10,7 +10,6 @@ RUN_SAMPLES = 64  # in the mean of a run of constant ranges, and runs in the usu
 MIN_READINGS, MAX_READINGS = 2.0, 8.0  # samples in the mean range: those of a time constant
 BAND_SIGMAS = 3.0  # of the mean: the range has changed; of a sample, which moves the mean by no more
 ERROR_MOTION = 0.36  # of a band times the reach: error times motion; a small one needs a long one
-ALTERNATING = 0.5  # of the band of noise: a mean that scatters less is no chance
 LAG_TAUS = 0.3  # errors that so great a lag of the axis model explains are no sign of a fault
 TEST_BAND_FACTOR = 1.5  # … beyond the chance of many looks, in bands: during a test and after it
 
@@ -36,32 +35,8 @@ def range_sigma_m(adaptive):
 
 @jit
 def range_band_m(adaptive):
-    """Change of the mean range of channel 0 that noise explains [m].
-
-    Ground that alternates from sample to sample (rows, corrugations) looks like noise, but leaves the mean
-    almost as it is. Where a mean of many samples scatters far less than that of noise, its own scatter
-    counts.
-    """
-    number = samples_in_mean(adaptive)
-    band_m = mean_band_m(range_sigma_m(adaptive), number)
-    # means that lie 5 and 8 samples apart have half of their scatter in common
-    own_m = 2.0 * BAND_SIGMAS * max(adaptive.run.mean_sigma_m[0], adaptive.run.mean_sigma_m[1], MIN_NOISE_M)
-    return own_m if number >= 0.5 * MAX_READINGS and own_m < ALTERNATING * band_m else band_m
-
-
-@jit
-def update_mean_noise(adaptive):
-    """Update the standard deviation of the mean range with the newest mean.
-
-    No period of ground or noise hides from differences over 5 samples and over 8.
-    """
-    run, scored = adaptive.run, adaptive.weights.scored
-    recent_m, sigma_m = run.recent_mean_m, run.mean_sigma_m
-    sigma_m[0] = follow_noise(sigma_m[0], run.mean_m, recent_m[4], recent_m[9], scored)
-    sigma_m[1] = follow_noise(sigma_m[1], run.mean_m, recent_m[7], recent_m[15], scored)
-    for k in range(15, 0, -1):
-        recent_m[k] = recent_m[k - 1]
-    recent_m[0] = run.mean_m
+    """Change of the mean range of channel 0 that noise explains [m]."""
+    return mean_band_m(range_sigma_m(adaptive), samples_in_mean(adaptive))
 
 
 @jit
