@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import threading
@@ -105,6 +106,26 @@ def test_the_follower_learns_only_while_it_holds_the_tool_whatever_becomes_of_it
         server.purge()
 
 
+@contextlib.contextmanager
+def reporting(service, server):
+    """A robot of the arbiter's resource "tool" that reports the same pose again and again."""
+    over = threading.Event()
+    robot = attach_arbitrated(service.name, server.name, "tool")
+
+    def report():
+        while not over.wait(0.002):
+            robot.ee_pos(POSE)
+
+    thread = threading.Thread(target=report)
+    thread.start()
+    try:
+        yield robot
+    finally:
+        over.set()
+        thread.join()
+        robot.close()
+
+
 @pytest.fixture
 def shared(tmp_path):
     with ArbiterProcess(tmp_path, arbiter_text("sum")).running() as server:
@@ -114,20 +135,18 @@ def shared(tmp_path):
 def test_a_command_is_as_old_as_the_demand_that_it_hands_on(service, shared):
     """It had the time of sending: a demand from before a pause of the process was handed on as a new one."""
     over = threading.Event()
-    robot = attach_arbitrated(service.name, shared.name, "tool")
-
-    def report():
-        while not over.wait(0.002):
-            robot.ee_pos(POSE)
 
     def lead():
         follow(service.name, shared.name, "follow", over.is_set)
 
-    threads = [threading.Thread(target=work) for work in (report, lead)]
-    for thread in threads:
+    thread = threading.Thread(target=lead)
+    with (
+        reporting(service, shared),
+        attach_service(service.name) as demands,
+        command_reader(shared.name, "follow") as commands,
+    ):
         thread.start()
-    try:
-        with attach_service(service.name) as demands, command_reader(shared.name, "follow") as commands:
+        try:
             made = set()
 
             def is_of_a_demand():
@@ -136,11 +155,9 @@ def test_a_command_is_as_old_as_the_demand_that_it_hands_on(service, shared):
                 return not command.safe and command.t_ns in made
 
             until(is_of_a_demand)
-    finally:
-        over.set()
-        for thread in threads:
+        finally:
+            over.set()
             thread.join()
-        robot.close()
 
 
 @pytest.fixture
@@ -152,40 +169,30 @@ def by_priority(tmp_path):
 def test_a_latched_stop_holds_the_robot_under_every_client(service, by_priority):
     """It held the follower's demands alone: another client moved the robot of a service that was stopped."""
     # GIVEN a robot that reports its pose, and a client that leads it
-    over = threading.Event()
-    robot = attach_arbitrated(service.name, by_priority.name, "tool")
+    with (
+        reporting(service, by_priority) as robot,
+        attach(by_priority.name, "avoid") as avoider,
+        attach_service(service.name) as operator,
+    ):
+        tool = avoider.resource("tool")
+        assert tool.request()
 
-    def report():
-        while not over.wait(0.002):
-            robot.ee_pos(POSE)
+        def demand():
+            tool.command(0.0, 0.0, 0.02, 0.0, 0.0, 0.0, ref_t_ns=time.monotonic_ns(), ref_pose=POSE)
+            return robot.dev_vector()
 
-    thread = threading.Thread(target=report)
-    thread.start()
-    try:
-        with attach(by_priority.name, "avoid") as avoider, attach_service(service.name) as operator:
-            tool = avoider.resource("tool")
-            assert tool.request()
-
-            def demand():
-                tool.command(0.0, 0.0, 0.02, 0.0, 0.0, 0.0, ref_t_ns=time.monotonic_ns(), ref_pose=POSE)
-                return robot.dev_vector()
-
-            until(lambda: demand().valid)
-            # WHEN the operator stops the service
-            operator.stop("test")
-            until(lambda: "STOPPED" in operator.dev_vector().names)
-            # THEN no command is a demand, however often it comes
-            for _ in range(50):
-                stopped = demand()
-                assert not stopped.valid
-                assert "STOPPED" in stopped.names
-            # WHEN the pose's holder resets the stop, THEN the client leads again
-            until(lambda: robot.reset_stop(wait=True) is not None)
-            until(lambda: demand().valid)
-    finally:
-        over.set()
-        thread.join()
-        robot.close()
+        until(lambda: demand().valid)
+        # WHEN the operator stops the service
+        operator.stop("test")
+        until(lambda: "STOPPED" in operator.dev_vector().names)
+        # THEN no command is a demand, however often it comes
+        for _ in range(50):
+            stopped = demand()
+            assert not stopped.valid
+            assert "STOPPED" in stopped.names
+        # WHEN the pose's holder resets the stop, THEN the client leads again
+        until(lambda: robot.reset_stop(wait=True) is not None)
+        until(lambda: demand().valid)
 
 
 def test_the_follower_waits_for_an_arbiter_that_pauses(service, by_priority, monkeypatch):

@@ -219,7 +219,8 @@ def test_the_status_says_for_which_lost_part_a_sum_waits_and_what_to_do(server, 
         since_ns = lose_offset(server, child)
         until(lambda: send_down(follow) and reader.latest().safe)
         see_safe_alone(server, follow, reader)
-        # THEN the status names the part, since when, and the way out
+        # THEN the status names the part alone, since when, and the way out
+        until(lambda: send_down(follow) and waits(server) == {"offset": "lost"})
         waiting = server.command("status")["combinations"]["tool"]["waits_for"]
         (wait,) = [w for w in waiting if w["part"] == "offset"]  # the follower pauses meanwhile
         assert (wait["part"], wait["reason"], wait["since_ns"]) == ("offset", "lost", since_ns)

@@ -11,7 +11,8 @@ from typing import Any
 
 from surffollow.apps.child_processes import Child, no_leftovers, running
 from surffollow.apps.demo_task import DemoConfig, config_file, robot_words
-from surffollow.apps.shared_tool import SIX, avoid
+from surffollow.apps.obstacle_avoidance import avoid
+from surffollow.apps.shared_tool import SIX
 from surffollow.arbiter import observe
 from surffollow.errors import FaultError, UsageError
 

@@ -6,19 +6,18 @@ that it reports as the resource's status block, so that every client can give it
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from surffollow.apps.run_by_holder import RunByHolder
-from surffollow.arbiter import CommandReader, Resource, ResourceCommand, command_reader
+from surffollow.arbiter import CommandReader, ResourceCommand, command_reader
 from surffollow.arbiter import attach as attach_arbiter
 from surffollow.arbiter import observe as observe_arbiter
 from surffollow.blocks import F64, I64, Block, Memory, mem_attach
 from surffollow.client import Client, Ticket
 from surffollow.client import attach as attach_service
-from surffollow.errors import BlockError, FaultError, NotRunningError, RequestTimeoutError, UsageError
+from surffollow.errors import BlockError, NotRunningError, RequestTimeoutError, UsageError
 from surffollow.shm.closing import Closing
 
 FOLLOW_PERIOD_S, WAIT_S = 0.002, 0.5
@@ -42,7 +41,7 @@ class ToolDemand:
     def __init__(self, command: ResourceCommand, service: Client) -> None:
         self._values, self.pose_t_ns, self.epoch = command.values, command.ref_t_ns, service.epoch
         self._service = service
-        # a latched stop is of the robot, whoever holds the resource (docs/reference/protocol.md#stop)
+        # a latched stop is of the robot, under any holder of the resource (docs/reference/protocol.md#stop)
         self.valid = not command.safe and command.ref_t_ns != 0 and "STOPPED" not in self.names
 
     def __getitem__(self, index: int, /) -> float:
@@ -232,79 +231,3 @@ def follow(
                 )
             time.sleep(FOLLOW_PERIOD_S)
     return counts
-
-
-class Avoider:
-    """Lifts the tool over an obstacle that it sees coming, by its own priority.
-
-    Parameters
-    ----------
-    tool : Resource          where it commands
-    near_m, far_m : float    the obstacle's extent along x, with the way that lifting takes on either side
-    lift_m : float           height over where the tool was when it took control
-    add : bool               its resource is a part of a sum: the lift is an offset to what others demand
-    """
-
-    def __init__(self, tool: Resource, near_m: float, far_m: float, lift_m: float, add: bool) -> None:
-        self.tool, self.near_m, self.far_m, self.lift_m, self.add = tool, near_m, far_m, lift_m, add
-        self._height_m = 0.0
-        self.passages = 0
-
-    def tick(self, t_ns: int, pose: Sequence[float]) -> None:
-        """Look at the newest reported pose; take, lead or give back the tool."""
-        if not self.near_m < pose[0] < self.far_m:
-            if self.tool.held:
-                self.tool.relinquish()
-            return
-        if not self.tool.held:
-            if not self.tool.request():
-                return
-            self._height_m = pose[2] + self.lift_m
-            self.passages += 1
-        if self.add:
-            self.tool.command(0.0, 0.0, self.lift_m, 0.0, 0.0, 0.0, t_ns=t_ns)
-        else:
-            rise = self._height_m - pose[2]
-            self.tool.command(0.0, 0.0, rise, 0.0, 0.0, 0.0, t_ns=t_ns, ref_t_ns=t_ns, ref_pose=pose)
-
-
-def avoid(
-    arbiter: str,
-    resource: str,
-    obstacle_m: tuple[float, float],
-    lift_m: float,
-    stopped: Callable[[], bool],
-    *,
-    margin_m: float = 0.06,
-    add: bool = False,
-    client: str = "avoid",
-) -> dict[str, Any]:
-    """Watch the tool's reported pose and lift it over an obstacle between two places along x [m].
-
-    Parameters
-    ----------
-    arbiter, resource : str  names
-    obstacle_m : (float, float) [m]  begin and end along x
-    lift_m : float [m]
-    stopped : callable       True: end
-    margin_m : float [m]     distance from the obstacle at which the lift begins
-    add : bool               the lift is added to what another client commands
-    client : str             name as a client of the arbiter
-    """
-    status = mem_attach({"tool_status": ToolStatus}, arbiter, lazy=True)["tool_status"]
-    near_m, far_m = obstacle_m[0] - margin_m, obstacle_m[1] + margin_m
-    with attach_arbiter(arbiter, client) as clients:
-        avoider = Avoider(clients.resource(resource), near_m, far_m, lift_m, add)
-        try:
-            while not stopped() and clients.connected:
-                newest = status.latest()
-                if newest.generation and not newest.stale:
-                    # when the arbiter pauses, the next look asks again
-                    with contextlib.suppress(RequestTimeoutError):
-                        avoider.tick(int(newest["t_ns"]), newest["pose"])
-                time.sleep(FOLLOW_PERIOD_S)
-        except FaultError:
-            if not stopped():
-                raise
-    status.close()
-    return {"passages": avoider.passages}

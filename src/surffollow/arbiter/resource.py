@@ -312,7 +312,7 @@ class Resource:
         NotRunningError
             the server ended
         RequestTimeoutError
-            the server did not answer; it is given back when the server goes on and this client still lives
+            the server did not answer; it is given back when the server runs again and this client still lives
         """
         if self._exchange.request(self._relinquish, RELINQUISH_NS) < 0:
             raise RequestTimeoutError(
